@@ -55,6 +55,7 @@ class Segment:
         watch: Callback for progress. It may end a leg that takes too long or leaves its bounds.
         reach: Bounds of the moduli of the first state entries, ``(n,)``. Beyond a bound the watch
             function is called immediately. Otherwise many steps may pass between two calls.
+        is_low: Whether the formula of the guard is rounding, so that only its state counts.
     """
 
     flow: FlowWithEvent
@@ -66,6 +67,7 @@ class Segment:
     late: float = 0.0
     watch: Watch = unwatched
     reach: Vector | None = None
+    is_low: bool = False
 
 
 class Termination(Enum):

@@ -51,7 +51,14 @@ def _fall(
     if fall is not None and on_guard and _is_rounding(leg, step, fall):
         fall = None
     return first_of_all(
-        leg.flow, step, before, after, fall, on_guard=on_guard, rounding=leg.rounding
+        leg.flow,
+        step,
+        before,
+        after,
+        fall,
+        on_guard=on_guard,
+        rounding=leg.rounding,
+        is_low=leg.is_low,
     )
 
 

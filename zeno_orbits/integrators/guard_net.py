@@ -76,6 +76,7 @@ def first_of_all(
     *,
     on_guard: bool,
     rounding: float,
+    is_low: bool = False,
 ) -> float | None:
     """Return the offset in a step of the first zero of a guard, also between samples.
 
@@ -87,6 +88,7 @@ def first_of_all(
         fall: The fall that samples found, if any.
         on_guard: The step starts on the guard itself: the root there does not count.
         rounding: A guard of this size is zero but for rounding.
+        is_low: The formula of a guard that is a state is rounding, and denies nothing.
     """
     if not flow.is_bounded or (on_guard and after[0] <= rounding):
         return fall
@@ -96,7 +98,16 @@ def first_of_all(
         state = step.state_at(fall)
         # A root to rounding: the guard is not below zero before it.
         end = Place(fall, 0.0, flow.guard(state)[1], state)
-    return _searched(flow, step, start, end, fall, on_guard=on_guard, rounding=rounding)
+    return _searched(
+        flow,
+        step,
+        start,
+        end,
+        fall,
+        on_guard=on_guard,
+        rounding=rounding,
+        may_deny=flow.is_carried and not is_low,
+    )
 
 
 def _searched(
@@ -108,6 +119,7 @@ def _searched(
     *,
     on_guard: bool,
     rounding: float,
+    may_deny: bool,
 ) -> float | None:
     """Return the first crossing between two points of a step, or the crossing found by samples."""
     waiting, count = [end], 0
@@ -132,7 +144,7 @@ def _searched(
         offset = (left.offset + right.offset) / 2
         state = step.state_at(offset)
         middle = Place(offset, *flow.guard(state), state)
-        if flow.is_carried and _is_denied(flow, middle, width):
+        if may_deny and _is_denied(flow, middle, width):
             return left.offset
         if starts and middle.value <= 0.0:
             left = waiting.pop()

@@ -390,7 +390,7 @@ static int leave_arc(Graph *g) {
     zl_run *run = g->m.run;
     const int kind = (int)run->graph.kind;
     if (kind == FLIGHT_ARC) return ZL_LEFT;
-    if (kind != HOP_ARC) run->first_detail = run->detail;
+    if (kind != HOP_ARC || run->graph.hop.comes_first) run->first_detail = run->detail;
     if (kind == FREE_ARC) {
         run->graph.hop = small_hop(&g->m);
         if (run->graph.hop.duration != 0.0) return begin_arc(g, HOP_ARC);
@@ -608,6 +608,25 @@ static int opens_beyond(Graph *g, int kink, long long stops, double const *x) {
     return all_open;
 }
 
+/* Whether each of some stops opens after each of the others has opened. The flow does not change at a
+   release, but the rates of the other contact forces may. */
+static int open_in_any_order(Graph *g, long long stops, const double *x) {
+    const long long closed = closed_at_start(g);
+    const int n = (int)g->whole->graph->n_stops;
+    int first, k;
+    for (first = 0; first < n; first++)
+        for (k = 0; k < n && (stops & BIT(first)); k++) {
+            const zl_settings *settings = settings_of(g, k);
+            double pair[2];
+            Machine m;
+            if (k == first || !(stops & BIT(k))) continue;
+            m = holding(g, closed & ~BIT(first), k);
+            evaluate_at(&m, ZL_GUARD + ZL_LOCKED, x, pair);
+            if (!is_zero(g, pair, settings->contact * settings->multiplier)) return 0;
+        }
+    return 1;
+}
+
 /* The flow of the mode that the present sides and some closed stops have, at a state. */
 static void flow_at(Graph *g, long long closed, const double *x, double *rate) {
     int k = (int)g->whole->graph->n_stops - 1;
@@ -656,8 +675,8 @@ static int is_resolved(const Graph *g, const double *gap) {
 /* Find the event at the end of an arc, of all events whose guards are zero there: its place in the
    list of the others, or -1 for the stop that the run looks at. A switch that is not armed, or rises,
    is no event. A kink changes no state, and an impact does not depend on it. Impacts on stops that
-   are not coupled change nothing for each other, nor do kinks that leave the flow as it is. A kink
-   comes before a release that takes place on both of its sides. */
+   are not coupled change nothing for each other, nor do kinks that leave the flow as it is, nor stops
+   that open in every order. A kink comes before a release that takes place on both of its sides. */
 static int event_at_end(Graph *g, int main, double time, const double *x, long long *chosen) {
     const zl_run *run = g->m.run;
     const zl_graph *graph = g->whole->graph;
@@ -665,6 +684,7 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
     long long places[ZL_GUARDS + 1], kinds[ZL_GUARDS + 1], indices[ZL_GUARDS + 1];
     long long struck = 0, opened = 0, switches = 0;
     int n = 0, k, all_commute = 1, first = -1, n_switches = 0, kink = -1;
+    g->m.run->graph.together = 0;
     for (k = -2; k <= g->others.n; k++) {
         /* What fell comes first, the stop that the run looks at last. */
         const long long place = k == -2 ? found : k == g->others.n ? -1 : k;
@@ -706,6 +726,10 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
     }
     if (n) *chosen = places[0];
     if (n < 2) return GO_ON;
+    if (!struck && !n_switches && open_in_any_order(g, opened, x)) {
+        g->m.run->graph.together = opened;
+        return GO_ON;
+    }
     if (!struck && n_switches == 1 && indices[kink] >= graph->n_declared &&
         opens_beyond(g, (int)indices[kink], opened, x)) {
         *chosen = places[kink];
@@ -722,6 +746,7 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
 static int after_other(Graph *g, double time, const double *x, const Other *other,
                        const double *rate, const double *scaled);
 static int on_other_side(Graph *g, int k);
+static int release_all(Graph *g, double time, const double *x);
 static int land_at(Graph *g, double time, const double *x, double rate);
 static int meet_at(Graph *g, double time, const double *x, double rate);
 
@@ -806,7 +831,7 @@ static int conclude(Graph *g) {
     run->stage = AT_START;
     if (graph->kind == LOCKED_ARC) {
         if (other) graph->has_current = 0;
-        return release(&g->m, time, x);
+        return release_all(g, time, x);
     }
     if (graph->kind == FREE_ARC || (other && graph->kind == HOP_ARC) ||
         (other && run->watched[found].launched > 0.0)) {
@@ -1085,6 +1110,19 @@ static int are_opened(Graph *g, long long stops, double time, const double *x) {
     if (!stops || (double)run->n_releases < run->settings.most_releases) return 0;
     run->stage = OVER;
     return 1;
+}
+
+/* Record a release, and those of the stops that open with it. */
+static int release_all(Graph *g, double time, const double *x) {
+    zl_run *run = g->m.run;
+    const long long others = run->graph.together & ~BIT(focus_of(g));
+    const int status = release(&g->m, time, x);
+    double state[ZL_MOST];
+    if (status != GO_ON || run->stage == OVER || !others) return status;
+    memcpy(state, run->start.state, sizeof state);
+    look(g, run->graph.rest & ~others, focus_of(g));
+    are_opened(g, others, time, state);
+    return GO_ON;
 }
 
 /* Apply a switch whose guard fell through zero, within a flight with its scaled gap and rate, if it is
@@ -1597,7 +1635,7 @@ static int after_other(Graph *g, double time, const double *x, const Other *othe
     run->graph.has_current = 0;
     if (other->kind == ZL_RELEASE) {
         look(g, closed & ~BIT(other->index), other->index);
-        return release(&g->m, time, x);
+        return release_all(g, time, x);
     }
     look(g, closed, other->index);
     evaluate_at(&g->m, ZL_GAP, x, gap);
@@ -1744,6 +1782,23 @@ static int admit_to_graph(Graph *g) {
     return placed(g, 0.0, x, FIRST_STATE, -1, -1, 0);
 }
 
+/* Begin an arc without an impact at its start. A flight that a plastic impact throws up, and that the
+   stop's own force throws back at once, is a hop. */
+static int begin_from_rest(Graph *g) {
+    zl_run *run = g->m.run;
+    const zl_settings *settings = &run->settings;
+    const double *x = run->start.state;
+    if (run->start.mode == ZL_LOCKED) return begin_arc(g, LOCKED_ARC);
+    if (g->whole->graph->n_stops &&
+        number_at(&g->m, ZL_LIFT, x) > settings->contact * settings->gap_acceleration &&
+        number_at(&g->m, ZL_PULL, x) > 0.0) {
+        run->graph.hop = small_hop(&g->m);
+        run->graph.hop.comes_first = 1;
+        if (run->graph.hop.duration != 0.0) return begin_arc(g, HOP_ARC);
+    }
+    return begin_arc(g, FREE_ARC);
+}
+
 /* Do the next thing: a step, an event, the start of an arc. */
 static int do_next_in_graph(Graph *g) {
     zl_run *run = g->m.run;
@@ -1756,10 +1811,10 @@ static int do_next_in_graph(Graph *g) {
         if (outcome != GO_ON) return outcome;
         if (due >= 0) return switched_at_start(g, due);
         if (run->start.has_speed) return fly_on(g);
-        return begin_arc(g, run->start.mode == ZL_LOCKED ? LOCKED_ARC : FREE_ARC);
+        return begin_from_rest(g);
     case AT_CURVE:
         if (run->start.has_speed) return fly_on(g);
-        return begin_arc(g, run->start.mode == ZL_LOCKED ? LOCKED_ARC : FREE_ARC);
+        return begin_from_rest(g);
     case LAUNCHES:
         return launch(g);
     case IN_LEG:

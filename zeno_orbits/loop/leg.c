@@ -173,7 +173,8 @@ static double leg_fall(Step *step, const double *before, const double *after) {
     if (step->m->problem->tapes[ZL_WATCHED + leg->mode].n_outputs) {
         Net net;
         net.curve = &step->curve;
-        net.is_carried = (int)step->m->problem->carried[leg->mode];
+        /* In a hop its formula is rounding. */
+        net.is_carried = step->m->problem->carried[leg->mode] && !step->m->run->in_hop;
         net.state_at = state_inside;
         net.bounds = bounds_between;
         fall = first_of_all(&net, before, after, step->before, step->after, fall, on_guard,

@@ -69,10 +69,16 @@ static void write_leg(const Machine *m, int ending, double end_time) {
     write_arc(m, numbers, run->start.state, leg->end, leg->n_y);
 }
 
-/* Whether the gap opens by less than its rounding before it closes again: that is no flight. */
+/* Whether the gap opens by less than its rounding before it closes again: that is no flight. After a
+   plastic impact it is followed in its own time, however low it is. */
 static int closes_at_once(const Machine *m, const double *x, double lift) {
-    double fall = number_at(m, ZL_PULL, x) / number_at(m, ZL_INERTIA, x), largest = 0.0;
+    const double rate = number_at(m, ZL_PULL, x), inertia = number_at(m, ZL_INERTIA, x);
+    const double fall = rate / inertia;
+    double largest = 0.0;
     long long i;
+    if (m->settings->restitution == 0.0 &&
+        3.0 * lift * inertia > HOP_BRIEF * m->settings->time * rate)
+        return 0;
     for (i = 0; i < m->problem->n_q; i++) {
         largest = greater(largest, fabs(x[i]));
         if (isnan(x[i])) return 0;
@@ -298,20 +304,25 @@ static int start_other_mode(const Machine *m, int mode) {
 }
 
 /* The flight from the stop that is lower than the rounding of the gap, because the multiplier turns
-   round. */
+   round or rises. */
 static Hop small_hop(const Machine *m) {
     const zl_settings *settings = &m->run->settings;
     const double *x = m->run->start.state;
-    const double time = HOP_PART * settings->time;
-    double rate[ZL_MOST], ahead[ZL_MOST], behind[ZL_MOST], gap[2], fall, turn, lift, inertia, highest;
-    Hop hop = {0.0, 0.0, 0.0};
+    double time = HOP_PART * settings->time;
+    double rate[ZL_MOST], ahead[ZL_MOST], behind[ZL_MOST], gap[2], fall, turn, lift, push, inertia;
+    double highest;
+    Hop hop = {0.0, 0.0, 0.0, 0};
+    int rises;
     long long i;
     evaluate_at(m, ZL_GAP, x, gap);
     if (!(gap[0] <= m->run->small_gap && fabs(gap[1]) <= m->run->small_rate)) return hop;
     lift = number_at(m, ZL_LIFT, x);
     if (!(lift >= -settings->contact * settings->gap_acceleration)) return hop;
-    lift = greater(lift, 0.0);
+    inertia = number_at(m, ZL_INERTIA, x);
+    push = greater(lift, 0.0) * inertia;
     fall = -number_at(m, ZL_PULL, x);
+    rises = fall < 0.0 && 0.0 < push;
+    if (rises) time = lesser(time, PART_OF_HOP * (3.0 * push / -fall));
     evaluate_at(m, ZL_RATE + ZL_LOCKED, x, rate);
     for (i = 0; i < m->problem->n_x; i++) {
         double shift = time * rate[i];
@@ -319,12 +330,15 @@ static Hop small_hop(const Machine *m) {
         behind[i] = x[i] - shift;
     }
     turn = (number_at(m, ZL_PULL, ahead) - number_at(m, ZL_PULL, behind)) / (2 * time);
-    inertia = number_at(m, ZL_INERTIA, x);
-    if (!(turn > 0.0)) return hop;
-    hop.duration = 2.0 * (fall + sqrt(fall * fall + 3.0 * (lift * inertia) * turn)) / turn;
-    highest = lift + fabs(fall) / inertia * hop.duration;
+    if (rises && fall * fall > HOP_TURNS * push * -turn)
+        /* Without the difference of nearly equal numbers that the other form has. */
+        hop.duration = 6.0 * push / (sqrt(fall * fall + 3.0 * push * greater(turn, 0.0)) - fall);
+    else if (turn > 0.0)
+        hop.duration = 2.0 * (fall + sqrt(fall * fall + 3.0 * push * turn)) / turn;
+    highest = (push + fabs(fall) * hop.duration) / inertia;
     if (!(hop.duration > 0.0 &&
-          highest * (hop.duration * hop.duration) <= HOP_LOW * settings->gap)) {
+          highest * (hop.duration * hop.duration) <=
+              (rises ? LOW_RISING : HOP_LOW) * settings->gap)) {
         hop.duration = 0.0;
         return hop;
     }

@@ -48,9 +48,13 @@
 
 /* simulation/small_hops.py */
 #define HOP_PART 1e-05
+#define PART_OF_HOP 0.01
+#define HOP_TURNS 1.05
 #define HOP_LOW 1e-08
+#define LOW_RISING 1e-06
 
 /* simulation/stop_run.py */
+#define HOP_BRIEF 1e-12
 #define ABOVE 1e-06
 #define STEADY 1e-09
 

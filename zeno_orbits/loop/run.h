@@ -26,15 +26,17 @@ typedef struct {
 } Watched;
 
 /* A flight that is lower than the rounding of the gap: its duration, 0 if there is none, and the
-   scaled gap rate at its start with its error. */
+   scaled gap rate at its start with its error. It comes first, or where another arc failed. */
 typedef struct {
     double duration, launch, error;
+    int comes_first;
 } Hop;
 
 /* What a run knows of modes and events: `reference_run` and `accumulations` in Python. Sets of stops and
    switches are bits. */
 typedef struct {
     long long view, rest, focus, sides, above;
+    long long together; /* the stops that open at the end of an arc, if there are several */
     /* The sequence of impacts that a kink may have split, and the kinks that split its flights. */
     long long has_current, current_rest, current_focus, split_before, split_present;
     long long flipped; /* the switches of which a start was on the wrong side at `flipped_time` */

@@ -230,6 +230,7 @@ class ArcFollower:
             late=self.late / unit if limit == self.until else 0.0,
             watch=self._watch,
             reach=self._reach,
+            is_low=hop is not None,
         )
         self._start, self._unit = start.time, unit
         passage = (_HOPPING if hop else self.engine).follow(leg)

@@ -214,6 +214,7 @@ class ReferenceRun(StopRun):
         window: Time in which the next event is first looked for [s].
         flipped: Time of the last start on the wrong side of a switch, and the switches then.
         n_switches: Number of switches so far.
+        together: The stops that open at the end of the last arc, if there are several.
         seen: The last impacts and switches, by which accumulations are recognized.
     """
 
@@ -228,6 +229,7 @@ class ReferenceRun(StopRun):
     window: float = np.inf
     flipped: tuple[float, frozenset[int]] = (math.nan, frozenset())
     n_switches: int = 0
+    together: tuple[int, ...] = ()
     seen: Accumulations = field(default_factory=Accumulations)
 
     @classmethod
@@ -545,6 +547,15 @@ class ReferenceRun(StopRun):
             return self.release(time, x)
         self.look(closed, index)
         return self.meet(time, x, self.dynamics.gap_rate(x) if rate is None else rate)
+
+    def release(self, time: float, x: Vector) -> ArcStart | None:
+        """Record a release, and those of the stops that open with it."""
+        others = [k for k in self.together if k != self.focus]
+        after = StopRun.release(self, time, x)
+        if after is None or not others:
+            return after
+        self.look(tuple(k for k in self.rest if k not in others), self.focus)
+        return None if self._opened(others, time, after.state) else after
 
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
         """Apply the reset map in the mode that its impulses determine."""
@@ -1004,12 +1015,13 @@ class ReferenceRun(StopRun):
         A switch that is not armed, or rises, is no event. A kink changes no state, and an impact
         does not depend on it: its side is taken after the impact. Impacts on stops that are not
         coupled change nothing for each other, so their order has no effect, nor has that of kinks
-        that leave the flow as it is. A kink comes before a release that takes place on both of its
-        sides.
+        that leave the flow as it is, nor has that of stops that open in every order. A kink comes
+        before a release that takes place on both of its sides.
 
         Raises:
             SimultaneousEventsError: If the order of two events matters. It names both events.
         """
+        self.together = ()
         x, found = arc.end_state, self.interruption
         main = (Kind.MULTIPLIER if start.mode is Mode.LOCKED else Kind.GAP), self.focus
         fell = main if found is None else (found.kind, found.index)
@@ -1034,6 +1046,10 @@ class ReferenceRun(StopRun):
         if len(events) < 2:
             return (events or zero)[0]
         kinks = [index for kind, index in events if kind is Kind.SWITCH]
+        releases = [index for kind, index in events if kind is Kind.MULTIPLIER]
+        if len(releases) == len(events) and self._open_in_any_order(releases, closed, x):
+            self.together = tuple(sorted(releases))
+            return events[0]
         if not impacts and self._opens_beyond(kinks, events, closed, x):
             return Kind.SWITCH, kinks[0]
         are_kinks = len(kinks) == len(events) and min(kinks) >= self.graph.n_declared
@@ -1048,6 +1064,22 @@ class ReferenceRun(StopRun):
         impacts.sort()
         self._require_apart(impacts, closed, arc.end_time, x)
         return Kind.GAP, impacts[0]
+
+    def _open_in_any_order(self, stops: Sequence[int], closed: tuple[int, ...], x: Vector) -> bool:
+        """Return True if each of some stops opens after each of the others has opened.
+
+        The flow does not change at a release, but the rates of the other contact forces may.
+        """
+        for first in stops:
+            mode = tuple(k for k in closed if k != first), self.sides
+            for stop in stops:
+                if stop == first:
+                    continue
+                view = self.graph.holding(mode, stop)
+                rounding = self.settings.contact * view.own.multiplier
+                if not self._is_zero(view.multiplier(x), view.multiplier_rate(x), rounding):
+                    return False
+        return True
 
     def _opens_beyond(
         self,

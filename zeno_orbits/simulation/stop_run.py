@@ -23,11 +23,13 @@ from zeno_orbits.simulation.interruptions import (
     enters_by_reset,
 )
 from zeno_orbits.simulation.settings import SimulationSettings
-from zeno_orbits.simulation.small_hops import small_hop
+from zeno_orbits.simulation.small_hops import SmallHop, small_hop
 from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit, tail_from
 
 _STEADY = 1e-9
 """Part of the problem's own rate of the multiplier below which that decides nothing."""
+_BRIEF = 1e-12
+"""Duration of a flight, in units of the problem's own time, that is rounding."""
 _ABOVE = 1e-6
 """Relative threshold of the scaled gap at a flight's end, above which the stop was reached
 unexpectedly."""
@@ -48,6 +50,9 @@ def is_slack(dynamics: HybridDynamics, x: Vector, lift: float, contact: float) -
         return False
     largest = float(np.max(np.abs(x[: dynamics.n_q])))
     rate, inertia = dynamics.multiplier_rate(x), dynamics.normal_inertia(x)
+    if dynamics.restitution == 0.0 and 3.0 * lift * inertia > _BRIEF * dynamics.own.time * rate:
+        # After a plastic impact the flight is followed in its own time, however low it is.
+        return False
     return closes_at_once(lift, rate, inertia, largest)
 
 
@@ -160,14 +165,20 @@ class StopRun(ABC):
 
     def free_flight(self, start: ArcStart) -> ArcStart | None:
         """Follow the free flow from a start or a release to an impact."""
-        released = self.dynamics.gap(start.state) <= self.small_gap
+        dynamics, x = self.dynamics, start.state
+        released = dynamics.gap(x) <= self.small_gap
+        if released and self._throws_back(x) and (hop := self._small_hop(x)) is not None:
+            return self._hop(start, hop)
         try:
-            arc, _ = self.follow_arc(start, self.dynamics.free, Ending.IMPACT, on_guard=released)
+            arc, _ = self.follow_arc(start, dynamics.free, Ending.IMPACT, on_guard=released)
         except PenetrationError as error:
-            return self._hop(start, error)
+            # A flight that is lower than the rounding of the gap may explain it.
+            if (hop := self._small_hop(x)) is None:
+                return self._in_other_mode(start, error)
+            return self._hop(start, hop, error)
         if not self.reaches(arc, Ending.IMPACT):
             return self.interrupted(start, arc)
-        return self.meet(arc.end_time, arc.end_state, self.dynamics.gap_rate(arc.end_state))
+        return self.meet(arc.end_time, arc.end_state, dynamics.gap_rate(arc.end_state))
 
     def meet(self, time: float, x: Vector, rate: float) -> ArcStart | None:
         """Return the next start where the gap closes: the stop is struck, or only touched.
@@ -181,21 +192,40 @@ class StopRun(ABC):
             return self.on_stop(time, self.dynamics.on_stop(x))
         return self.landing(time, x, rate)
 
-    def _hop(self, start: ArcStart, error: PenetrationError) -> ArcStart | None:
-        """Follow a flight that is lower than the rounding of the gap, if that explains an error."""
-        dynamics, x = self.dynamics, start.state
+    def _throws_back(self, x: Vector) -> bool:
+        """Return True if a state is thrown off the stop by a force that falls at once.
+
+        It is so after a plastic impact, while a current layer decays.
+        """
+        lift = self.dynamics.gap_acceleration(x)
+        is_thrown = lift > self.settings.contact * self.own.gap_acceleration
+        return is_thrown and self.dynamics.multiplier_rate(x) > 0.0
+
+    def _small_hop(self, x: Vector) -> SmallHop | None:
+        """Return the flight from a state at rest on the stop that is as low as rounding."""
+        dynamics = self.dynamics
         rests = dynamics.gap(x) <= self.small_gap and abs(dynamics.gap_rate(x)) <= self.small_rate
         least = -self.settings.contact * self.own.gap_acceleration
-        may_lift = rests and dynamics.gap_acceleration(x) >= least
-        relative = self.settings.tolerance.relative
-        if not may_lift or (hop := small_hop(dynamics, x, relative)) is None:
-            return self._in_other_mode(start, error)
+        if not (rests and dynamics.gap_acceleration(x) >= least):
+            return None
+        return small_hop(dynamics, x, self.settings.tolerance.relative)
+
+    def _hop(
+        self, start: ArcStart, hop: SmallHop, error: PenetrationError | None = None
+    ) -> ArcStart | None:
+        """Follow a flight that is as low as the rounding of the gap.
+
+        Args:
+            start: Its start.
+            hop: The flight.
+            error: Error of the free flow, of which the flight may be the reason.
+        """
         launched = replace(start, speed=hop.duration, hop=hop)
         flight = self.dynamics.flight(hop.duration)
         try:
             arc, end = self.follow_arc(launched, flight, Ending.IMPACT, on_guard=True)
-        except PenetrationError:
-            return self._in_other_mode(start, error)
+        except PenetrationError as own:
+            return self._in_other_mode(start, error or own)
         if not self.reaches(arc, Ending.IMPACT):
             return self.interrupted(start, arc)
         return self.landing(arc.end_time, arc.end_state, hop.duration * float(end[-1]))
