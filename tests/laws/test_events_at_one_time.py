@@ -817,3 +817,86 @@ def test_derivatives_where_masses_are_struck_together_are_those_of_each(e: float
         assert before.time[[k, 2 + k]] == pytest.approx([c[0] for c in columns], abs=1e-6)
         assert before.state[2 + k, [1 - k, 3 - k]] == pytest.approx([0.0, 0.0], abs=1e-9)
     assert -run.impacts[-1].approach_rate == pytest.approx(speed, abs=1e-9)
+
+
+# Stops that open together.
+
+
+def released_masses(restitutions: Sequence[float], spring: float = 0.0) -> zo.Problem:
+    """Return masses between two stops each, all under one force of a clock."""
+
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        n = len(restitutions)
+        q, v, clock = ca.SX.sym("q", n), ca.SX.sym("v", n), zo.Clock.at(p["omega"])
+        mechanism = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.sumsqr(v) / 2,
+            potential=ca.sumsqr(q) / 2 + spring * ca.sumsqr(q[0] - q[-1]) / 2,
+            passive_force=-0.1 * v,
+            applied_force=ca.repmat(5 * clock.cosine, n, 1),
+            clock=clock,
+            stops=tuple(
+                zo.Stop(name=f"{name}{k}", gap=1 - sign * q[k], restitution=e)
+                for k, e in enumerate(restitutions)
+                for name, sign in (("up", 1), ("low", -1))
+            ),
+        )
+        return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
+
+    n = len(restitutions)
+    states = {f"x{k}": "m" for k in range(n)} | {f"v{k}": "m/s" for k in range(n)}
+    return machine_of(model, states | {"cosine": "1", "sine": "1"}, {"omega": 0.3})
+
+
+@pytest.mark.parametrize("restitutions", [(0.3, 0.5), (0.2, 0.0), (0.4, 0.4), (0.0, 0.0)])
+def test_masses_that_a_clock_releases_together_move_as_each_alone(
+    restitutions: tuple[float, ...],
+) -> None:
+    whole = zo.simulate(released_masses(restitutions), until=40.0)
+    found = named(whole, "zeno", "release")
+    expected: list[tuple[str, float]] = []
+    for k, e in enumerate(restitutions):
+        alone = zo.simulate(released_masses([e]), until=40.0)
+        events = named(alone, "zeno", "release")
+        expected += [(name.replace("0", str(k)), time) for name, time in events]
+        times = [time for name, time in found if name.endswith(str(k))]
+        assert times == pytest.approx([time for _, time in events], abs=1e-9)
+    assert sorted(name for name, _ in found) == sorted(name for name, _ in expected)
+    releases = [time for name, time in found if name.startswith("release")]
+    assert len(releases) == 2 * len(set(releases)) > 4
+
+
+@pytest.mark.parametrize("restitutions", [(0.3, 0.5), (0.2, 0.0)])
+def test_derivatives_where_stops_open_together_are_those_of_each(
+    restitutions: tuple[float, ...],
+) -> None:
+    def slopes(e: Sequence[float], stop: str) -> np.ndarray:
+        """Return time and velocity at the first impact after a release, by the frequency."""
+        problem = released_masses(e)
+        graph, run = problem.graph_dynamics(problem.values()), zo.simulate(problem, until=12.0)
+        derivatives = EventDerivatives(graph, (0,), SimulationSettings().tolerance)
+        crossings = [one for passage in derivatives.passages(run) for one in passage.crossings]
+        opened = run.releases[0].time
+        event, before, _ = next(
+            one
+            for one in crossings
+            if one[0].time > opened and event_name(one[0]) == f"impact {stop}"
+        )
+        k = int(stop[-1]) + len(e)
+        assert before.time is not None
+        return np.array([event.time, before.time[-1], before.state[k, -1]])
+
+    for k, e in enumerate(restitutions):
+        alone = slopes([e], "low0")
+        assert slopes(restitutions, f"low{k}") == pytest.approx(alone, rel=1e-9)
+
+
+def test_equal_masses_on_a_spring_open_together() -> None:
+    # The spring is without force as long as both move alike.
+    pair = zo.simulate(released_masses([0.4, 0.4], spring=3.0), until=12.0)
+    alone = zo.simulate(released_masses([0.4]), until=12.0)
+    for k in (0, 1):
+        found = [(n, t) for n, t in named(pair, "zeno", "release") if n.endswith(str(k))]
+        times = [time for _, time in named(alone, "zeno", "release")]
+        assert [time for _, time in found] == pytest.approx(times, abs=1e-9)
