@@ -10,7 +10,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.cases import fast
-from zeno_orbits.model.kinks import branched
+from zeno_orbits.model.expressions.kinks import branched
 
 X = ca.SX.sym("x", 2)
 

@@ -14,8 +14,8 @@ import pytest
 import zeno_orbits as zo
 from tests.support.mechanisms import machine_of
 from tests.support.random_formulas import BINARY, JUMPS, UNARY, random_formula
-from zeno_orbits.model.kinks import branched, sided
-from zeno_orbits.model.operations import without_calls
+from zeno_orbits.model.expressions.kinks import branched, sided
+from zeno_orbits.model.expressions.operations import without_calls
 
 ca: Any = casadi
 

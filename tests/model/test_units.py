@@ -12,8 +12,8 @@ import pytest
 import zeno_orbits as zo
 from tests.support.units import Units, in_units
 from zeno_orbits.model import powers_of, unit_quotient
-from zeno_orbits.model.formula_units import unit_of
-from zeno_orbits.model.units import energy_unit, in_si, is_rate_of, require_coherent
+from zeno_orbits.model.expressions.formula_units import unit_of
+from zeno_orbits.model.expressions.units import energy_unit, in_si, is_rate_of, require_coherent
 
 TABLE = zo.load_problem("vibrating_table")
 

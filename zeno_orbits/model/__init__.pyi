@@ -13,9 +13,9 @@ from .drives.drives import full_drive as full_drive
 from .drives.drives import ideal_torque_drive as ideal_torque_drive
 from .drives.drives import no_drive as no_drive
 from .drives.drives import quasi_static_drive as quasi_static_drive
-from .formulas import acceleration_formula as acceleration_formula
-from .formulas import six_digits as six_digits
-from .formulas import with_numbers as with_numbers
+from .expressions.formulas import acceleration_formula as acceleration_formula
+from .expressions.formulas import six_digits as six_digits
+from .expressions.formulas import with_numbers as with_numbers
 from .hybrid import CompletedSystem as CompletedSystem
 from .hybrid import accelerate as accelerate
 from .hybrid import with_energy_ledger as with_energy_ledger
@@ -79,5 +79,5 @@ from .rig_parts import without_parts as without_parts
 from .scale import CharacteristicScales as CharacteristicScales
 from .starts import Start as Start
 from .scale import UNIT_SCALES as UNIT_SCALES
-from .units import powers_of as powers_of
-from .units import unit_quotient as unit_quotient
+from .expressions.units import powers_of as powers_of
+from .expressions.units import unit_quotient as unit_quotient

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.model.clock import Clock
-from zeno_orbits.model.operations import without_calls
+from zeno_orbits.model.expressions.operations import without_calls
 from zeno_orbits.model.stops import ABSENT, Stop
 from zeno_orbits.work import checked
 

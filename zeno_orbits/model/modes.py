@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 import casadi as ca
 
 from zeno_orbits.model.drives.circuits import Drive
-from zeno_orbits.model.kinks import branched, is_smooth, sided
+from zeno_orbits.model.expressions.kinks import branched, is_smooth, sided
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.stops import Stop, Switch, watched
 from zeno_orbits.model.waveforms import TimeOrder

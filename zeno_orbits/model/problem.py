@@ -20,7 +20,8 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, any_number, finite_number, named_numbers
 from zeno_orbits.model.contact import require_zeno_points
 from zeno_orbits.model.drawing import DrawingFunction, lines_of
-from zeno_orbits.model.formula_units import unit_of
+from zeno_orbits.model.expressions.formula_units import unit_of
+from zeno_orbits.model.expressions.units import energy_unit, require_coherent
 from zeno_orbits.model.graph import graph_of_one_stop
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate
 from zeno_orbits.model.mistakes import place_of
@@ -41,7 +42,6 @@ from zeno_orbits.model.quantities import (
 from zeno_orbits.model.rig_parts import Rig
 from zeno_orbits.model.starts import Start, require_starts, state_of
 from zeno_orbits.model.stops import Stop
-from zeno_orbits.model.units import energy_unit, require_coherent
 from zeno_orbits.model.validation import (
     built,
     require_known_symbols,

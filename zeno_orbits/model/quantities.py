@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from zeno_orbits.errors import InputError, finite_number, not_known, shortened
-from zeno_orbits.model.units import powers_of
+from zeno_orbits.model.expressions.units import powers_of
 from zeno_orbits.work import require_kinds
 
 

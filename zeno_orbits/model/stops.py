@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from zeno_orbits.model.operations import expand_calls
+from zeno_orbits.model.expressions.operations import expand_calls
 from zeno_orbits.model.quantities import require_unit
 from zeno_orbits.work import Checked
 

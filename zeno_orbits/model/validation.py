@@ -17,12 +17,12 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, shortened
-from zeno_orbits.model.domains import named_formulas, require_finite, require_rising_gap
+from zeno_orbits.model.expressions.domains import named_formulas, require_finite, require_rising_gap
+from zeno_orbits.model.expressions.units import ELECTRICAL, is_electrical_unit, is_rate_of
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.mistakes import NotSymbolicError, holds_nan
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.numeric.own_scale import ScaleReach, constraint_sizes, reach_of
-from zeno_orbits.model.units import ELECTRICAL, is_electrical_unit, is_rate_of
 
 _TRIALS = 24
 """States near each start at which the mass matrix is tried."""

@@ -32,7 +32,7 @@ from zeno_orbits.errors import (
     not_known,
 )
 from zeno_orbits.experiment.recordings.table import ColumnTable, Head, read_head, read_table
-from zeno_orbits.model.units import in_si, powers_of
+from zeno_orbits.model.expressions.units import in_si, powers_of
 from zeno_orbits.work import ByValue, checked, require_kinds
 from zeno_orbits.work.files import write_pieces
 

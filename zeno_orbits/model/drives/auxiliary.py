@@ -9,8 +9,8 @@ import casadi as ca
 
 from zeno_orbits.model.drives.circuits import Circuit, Drive
 from zeno_orbits.model.drives.motors import MotorBank
+from zeno_orbits.model.expressions.operations import expand_calls
 from zeno_orbits.model.lagrangian import HybridLagrangian, require_symbols
-from zeno_orbits.model.operations import expand_calls
 from zeno_orbits.work import require_kinds
 
 

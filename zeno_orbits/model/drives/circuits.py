@@ -14,8 +14,8 @@ from typing import NamedTuple, cast
 import casadi as ca
 
 from zeno_orbits.model.drives.motors import MotorBank
+from zeno_orbits.model.expressions.operations import expand_calls
 from zeno_orbits.model.lagrangian import HybridLagrangian, require_symbols
-from zeno_orbits.model.operations import expand_calls
 from zeno_orbits.work import checked, require_kinds
 
 Entries = tuple[tuple[str, ca.SX], ...]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.model.operations import expand_calls
+from zeno_orbits.model.expressions.operations import expand_calls
 from zeno_orbits.work import require_kinds
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model.contact import MULTIPLIER_RATE
-from zeno_orbits.model.domains import undefined_ahead
+from zeno_orbits.model.expressions.domains import undefined_ahead
 from zeno_orbits.model.graph import guard_and_flow, system_of_stop
 from zeno_orbits.model.modes import GraphMode, ModeGraph
 from zeno_orbits.model.numeric.binding import bind

@@ -11,8 +11,8 @@ from typing import Any
 import casadi as ca
 
 from zeno_orbits.errors import InputError
+from zeno_orbits.model.expressions.operations import operation_name
 from zeno_orbits.model.hybrid import CompletedSystem
-from zeno_orbits.model.operations import operation_name
 from zeno_orbits.model.problem import ParameterValues, Problem
 
 sympy: Any = importlib.import_module("sympy")

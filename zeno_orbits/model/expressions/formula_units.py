@@ -12,7 +12,7 @@ from fractions import Fraction
 
 import casadi as ca
 
-from zeno_orbits.model.units import powers_of, text_of
+from zeno_orbits.model.expressions.units import powers_of, text_of
 
 _Powers = Mapping[str, Fraction]
 

@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.model.operations import operation_name, symbols_in
+from zeno_orbits.model.expressions.operations import operation_name, symbols_in
 
 _DEPTH = 32
 """Depth to which two conditions are compared."""

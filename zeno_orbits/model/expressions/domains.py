@@ -15,10 +15,10 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.drives.circuits import Drive
+from zeno_orbits.model.expressions.operations import operation_name, symbols_in
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.mistakes import FormulaError
-from zeno_orbits.model.operations import operation_name, symbols_in
 
 _LONGEST = 60
 """Characters of a formula up to which a message prints it."""

@@ -1,0 +1,1 @@
+"""Formulas: units, kinks, operations, domains, and formulas as a person reads them."""
