@@ -647,17 +647,32 @@ class ReferenceRun(StopRun):
             return None
         self.seen.require_no_switches(last, self.stop_name, end, self.own.time)
         self.seen.forget(*(self.graph.stop_names[k] for k in stops))
-        for (way, speed), k in sorted(zip(ways, stops, strict=True), key=lambda one: one[0][0]):
-            self.events.append(
-                ZenoPoint(
-                    time=time + way,
-                    state=self._held(closed, rested, way),
-                    limit_error=error,
-                    tail=way,
-                    last_speed=speed,
-                    stop=self.graph.stop_names[k],
-                )
+        ordered = sorted(zip(ways, stops, strict=True), key=lambda one: one[0][0])
+        self.events += [
+            ZenoPoint(
+                time=time + way,
+                state=self._held(closed, rested, way),
+                limit_error=error,
+                tail=way,
+                last_speed=speed,
+                stop=self.graph.stop_names[k],
             )
+            for (way, speed), k in ordered
+        ]
+        return self._at_rest(time, rested, last, end, closed)
+
+    def _at_rest(
+        self, time: float, rested: Vector, last: float, end: Vector, closed: tuple[int, ...]
+    ) -> ArcStart:
+        """Return the start of the contact of several stops, after a tail to the last limit.
+
+        Args:
+            time: When the tail starts [s].
+            rested: State there with all stops at rest, ``(n_x,)``.
+            last: When it ends [s].
+            end: State there, ``(n_x,)``.
+            closed: The closed stops then.
+        """
         tail = Arc(
             mode=Mode.FREE,
             start_time=time,
@@ -1382,32 +1397,9 @@ class ReferenceRun(StopRun):
             PenetrationError: If a switch sends the state into a stop.
             SimultaneousEventsError: If two stops that are coupled are struck at once.
         """
-        still: list[int] = []
-        opening: list[int] = []
-        struck: list[int] = []
-        contact = self.settings.contact
-        for k, name in enumerate(self.graph.stop_names):
-            if flight is not None and k == flying:
-                continue
-            view = self._view((), k)
-            below = max(START_OFF, contact) if was_closed is None or k in was_closed else contact
-            # Of one stop alone, a start is as exact as its user gives it.
-            small = below if self._has_others else contact
-            gap, rate = view.gap(x), view.gap_rate(x)
-            is_on = gap >= -below * view.own.gap
-            falls = rate < -small * view.own.gap_rate
-            # An open gap of a first state is as exact as its user gives it.
-            apart = contact if was_closed is None else small
-            if gap > apart * view.own.gap or (k == flying and not (is_on and falls)):
-                continue
-            if is_on and abs(rate) <= small * view.own.gap_rate:
-                still.append(k)
-            elif is_on and rate > 0.0:
-                opening.append(k)
-            elif switch and not is_on:
-                raise enters_by_switch(switch, name, time, x)
-            else:
-                struck.append(k)
+        still, opening, struck = self._stops_met(
+            time, x, was_closed, switch=switch, flying=flying, goes_on=flight is not None
+        )
         closed = self._contact_set(time, x, still)
         for k in closed:
             x = self._holding(closed, k).on_stop(x)
@@ -1431,6 +1423,57 @@ class ReferenceRun(StopRun):
         rate = self.dynamics.gap_rate(x)
         launches = self.dynamics.gap(x) <= self.small_gap and rate > self.small_rate
         return ArcStart(mode=Mode.FREE, time=time, state=x, speed=rate if launches else None)
+
+    def _stops_met(
+        self,
+        time: float,
+        x: Vector,
+        was_closed: tuple[int, ...] | None,
+        *,
+        switch: str,
+        flying: int | None,
+        goes_on: bool,
+    ) -> tuple[list[int], list[int], list[int]]:
+        """Return the stops with zero gap at a state: those at rest, those that open, those struck.
+
+        Args:
+            time: When [s].
+            x: The state, ``(n_x,)``.
+            was_closed: As for `_placed`.
+            switch: As for `_placed`.
+            flying: As for `_placed`.
+            goes_on: Whether the flight from the stop `flying` goes on, so that it is not met.
+
+        Raises:
+            PenetrationError: If a switch sends the state into a stop.
+        """
+        still: list[int] = []
+        opening: list[int] = []
+        struck: list[int] = []
+        contact = self.settings.contact
+        for k, name in enumerate(self.graph.stop_names):
+            if goes_on and k == flying:
+                continue
+            view = self._view((), k)
+            below = max(START_OFF, contact) if was_closed is None or k in was_closed else contact
+            # Of one stop alone, a start is as exact as its user gives it.
+            small = below if self._has_others else contact
+            gap, rate = view.gap(x), view.gap_rate(x)
+            is_on = gap >= -below * view.own.gap
+            falls = rate < -small * view.own.gap_rate
+            # An open gap of a first state is as exact as its user gives it.
+            apart = contact if was_closed is None else small
+            if gap > apart * view.own.gap or (k == flying and not (is_on and falls)):
+                continue
+            if is_on and abs(rate) <= small * view.own.gap_rate:
+                still.append(k)
+            elif is_on and rate > 0.0:
+                opening.append(k)
+            elif switch and not is_on:
+                raise enters_by_switch(switch, name, time, x)
+            else:
+                struck.append(k)
+        return still, opening, struck
 
     def _opened(self, stops: Sequence[int], time: float, x: Vector) -> bool:
         """Record the releases of stops that another event opens.
