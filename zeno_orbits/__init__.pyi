@@ -8,6 +8,7 @@ from .api import compare as compare
 from .api import compile_problem as compile_problem
 from .api import continue_orbit as continue_orbit
 from .api import crop as crop
+from .api import describe_recording as describe_recording
 from .api import enclose_period as enclose_period
 from .api import equilibrium_acceleration as equilibrium_acceleration
 from .api import find_orbit as find_orbit
@@ -47,6 +48,7 @@ from .errors import SwitchingTimesError as SwitchingTimesError
 from .errors import ZenoOrbitsError as ZenoOrbitsError
 from .experiment.comparison.comparison import Comparison as Comparison
 from .experiment.identification.identification import Identification as Identification
+from .experiment.recordings.columns import ColumnNotes as ColumnNotes
 from .experiment.recordings.recording import Recording as Recording
 from .experiment.recordings.recording import read_recording as read_recording
 from .experiment.recordings.recording import write_recording as write_recording
@@ -142,6 +144,7 @@ __all__ = [
     "Circuit",
     "Clock",
     "Cluster",
+    "ColumnNotes",
     "Comparison",
     "CompletedSystem",
     "Contact",
@@ -226,6 +229,7 @@ __all__ = [
     "continue_orbit",
     "corrected_drive",
     "crop",
+    "describe_recording",
     "enclose_period",
     "equilibrium_acceleration",
     "execution_distance",

@@ -248,11 +248,12 @@ class DataFileError(InputError):
 
     Attributes:
         path: The file.
+        reason: The reason, as a clause.
     """
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(_about_file("Data", path, reason))
-        self.path = path
+        self.path, self.reason = path, reason
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

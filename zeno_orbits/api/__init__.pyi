@@ -24,6 +24,7 @@ from .machines import compare as compare
 from .machines import compare_rig as compare_rig
 from .machines import counterpart_for as counterpart_for
 from .machines import crop as crop
+from .machines import describe_recording as describe_recording
 from .machines import identify as identify
 from .machines import machine_of as machine_of
 from .machines import recording_for as recording_for

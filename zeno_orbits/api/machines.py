@@ -25,11 +25,13 @@ from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
     from zeno_orbits.experiment import (
+        ColumnNotes,
         Comparison,
         FitParameter,
         Identification,
         MatchedRun,
         Recording,
+        RecordingDescription,
         RigComparison,
         RigRun,
         RigSettings,
@@ -60,6 +62,28 @@ def crop(
     from zeno_orbits.experiment import crop_recording
 
     return crop_recording(recording, t_start, t_end)
+
+
+@front_door
+def describe_recording(
+    recording: str | Path, *, columns: ColumnNotes | None = None, problem: Named | None = None
+) -> RecordingDescription:
+    """Return what a file of time series is understood to be, as an instrument wrote it.
+
+    Args:
+        recording: The file.
+        columns: What is known of its columns beside their titles.
+        problem: The problem whose signals are sought. The default is any.
+
+    Raises:
+        DataFileError: If the file is no table of values.
+        InputError: If the notes name a column that the file does not have.
+    """
+    from zeno_orbits.experiment import describe_recording as describe
+    from zeno_orbits.experiment import measurable
+
+    known = None if problem is None else measurable(known_problem(problem))
+    return describe(recording, columns=columns, units=known)
 
 
 @front_door

@@ -16,7 +16,7 @@ COMMANDS = {
     "find": ("simulate", "search"),
     "check": ("verify", "stability", "prove"),
     "explore": ("map", "continue", "push", "recovery", "work-precision"),
-    "real machines": ("rig", "compare", "identify", "export"),
+    "real machines": ("rig", "read", "compare", "identify", "export"),
     "show": ("plot", "figures", "report"),
     "tools": ("cache", "completion"),
 }
@@ -32,6 +32,10 @@ GROUPS = {
         "--t-start",
         "--t-end",
         "--problem",
+        "--column",
+        "--unit",
+        "--zero",
+        "--frame-rate",
     ),
     "machine": ("--part", "--only", "--without", "--exact-pwm", "--cycles"),
     "objective": ("--objective", "--uncertain", "--bounds", "--shape", "--allow-unstable", "--fit"),
@@ -86,6 +90,8 @@ COMMON = frozenset(
         ),
         *(
             "--recording",
+            "--column",
+            "--unit",
             "--directions",
             "--phases",
             "--decay",

@@ -134,6 +134,14 @@ def read_named_number(text: str) -> tuple[str, float]:
     return name, _number(value, f"have a number for `{name}`")
 
 
+def read_named_text(text: str) -> tuple[str, str]:
+    """Return name and text from ``NAME=TEXT``. The name may contain the sign."""
+    name, sign, value = text.rpartition("=")
+    if not (sign and name.strip() and value.strip()):
+        raise argparse.ArgumentTypeError(f"must be NAME=TEXT, but it is `{text}`")
+    return name.strip(), value.strip()
+
+
 def read_direction(text: str) -> dict[str, float]:
     """Return a direction from ``NAME=VALUE,NAME=VALUE``, in which each name occurs once."""
     entries: dict[str, float] = {}

@@ -20,7 +20,7 @@ from zeno_orbits.cli.commands.pictures import add_figures, add_plot
 from zeno_orbits.cli.commands.problems import add_conditions, add_new, add_problems
 from zeno_orbits.cli.commands.prove import add_prove
 from zeno_orbits.cli.commands.push import add_push
-from zeno_orbits.cli.commands.recordings import add_compare, add_identify
+from zeno_orbits.cli.commands.recordings import add_compare, add_identify, add_read
 from zeno_orbits.cli.commands.recovery import add_recovery
 from zeno_orbits.cli.commands.report_command import add_report
 from zeno_orbits.cli.commands.rig import add_rig
@@ -51,6 +51,7 @@ _COMMANDS = (
         add_plot,
         add_report,
         add_figures,
+        add_read,
         add_compare,
         add_identify,
         add_cache,

@@ -20,9 +20,12 @@ _ROOM_NAMES = {
     "most_impacts": "--max-impacts",
     "most_steps": "--max-steps",
     "name": "--set",
+    "names": "--column",
     "parameter": "--set",
     "picture": "--plot",
     "state": "--start",
+    "units": "--unit",
+    "zeros": "--zero",
 }
 """Name of an argument in the package to the option that gives it."""
 _POSITIONALS = {"recording": "data"}

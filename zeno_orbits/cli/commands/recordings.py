@@ -1,4 +1,4 @@
-"""The commands about recordings of a machine: `compare` and `identify`."""
+"""The commands about recordings of a machine: `read`, `compare` and `identify`."""
 
 from __future__ import annotations
 
@@ -15,14 +15,103 @@ from zeno_orbits.cli.options import (
     add_problem,
     add_problem_file,
     add_recording,
+    add_shared,
     print_json,
     say_written,
     write_json,
 )
-from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
-from zeno_orbits.cli.parsing import read_fit
+from zeno_orbits.cli.outputs import JSON, PICTURE, SAMPLES, require_outputs
+from zeno_orbits.cli.parsing import (
+    Named,
+    read_fit,
+    read_named_number,
+    read_named_text,
+    read_number,
+)
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
+
+
+def add_read(commands: Any) -> None:
+    """Add the command `read`."""
+    parser = add_command(
+        commands,
+        "read",
+        _run_read,
+        "show what a file of time series is understood to be, and write it as a recording in SI "
+        "units; exit code 1 if a column of numbers cannot be used",
+        [
+            "zeno-orbits read data.csv",
+            "zeno-orbits read track.csv --frame-rate 200 --column y=height "
+            '--unit "height=-0.78 mm" --zero height=512 -o drop.csv',
+            "zeno-orbits read data.csv --problem motor_pendulum --json",
+        ],
+    )
+    parser.add_argument(
+        "data", metavar="DATA.csv", type=Path, help="a table of values, as an instrument wrote it"
+    )
+    parser.add_argument(
+        "--column",
+        dest="names",
+        type=read_named_text,
+        action=Named,
+        metavar="TITLE=NAME",
+        help="the column with this title, or of this number from 1, is the quantity NAME; may be "
+        "repeated",
+    )
+    parser.add_argument(
+        "--unit",
+        dest="units",
+        type=read_named_text,
+        action=Named,
+        metavar="NAME=UNIT",
+        help='what one recorded unit is, such as "deg" or "-0.78 mm"; may be repeated',
+    )
+    parser.add_argument(
+        "--zero",
+        dest="zeros",
+        type=read_named_number,
+        action=Named,
+        metavar="NAME=NUMBER",
+        help="the recorded value that stands for zero; may be repeated",
+    )
+    parser.add_argument(
+        "--frame-rate",
+        type=read_number,
+        metavar="HZ",
+        help="frames per second; times are then those of the frames, or of the rows",
+    )
+    add_problem_file(parser, "problem")
+    add_shared(parser, "t_start", type=read_number)
+    add_shared(parser, "t_end", type=read_number)
+    parser.add_argument("-o", "--output", type=Path, help="write the recording here, in SI units")
+
+
+def _run_read(options: argparse.Namespace) -> int:
+    import zeno_orbits as zo
+
+    require_outputs(options, {"output": SAMPLES}, reads=[options.data])
+    found = api.describe_recording(
+        options.data,
+        columns=zo.ColumnNotes(
+            names=options.names,
+            units=options.units,
+            zeros=options.zeros,
+            frame_rate=options.frame_rate,
+        ),
+        problem=options.problem,
+    )
+    if options.output is not None:
+        if found.recording is None:
+            raise InputError(f"Argument `output`: there is nothing to write: {found.trouble}.")
+        part = api.crop(found.recording, options.t_start, options.t_end)
+        zo.write_recording(part, options.output)
+    if options.json:
+        print_json(found.as_json())
+    else:
+        report.print_description(found)
+        say_written(options, [options.output] if options.output is not None else [])
+    return YES if found.is_complete else NO
 
 
 def add_compare(commands: Any) -> None:

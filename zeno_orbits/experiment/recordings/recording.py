@@ -31,16 +31,15 @@ from zeno_orbits.errors import (
     newer_format,
     not_known,
 )
-from zeno_orbits.experiment.recordings.table import ColumnTable, Head, read_head, read_table
-from zeno_orbits.model.expressions.units import in_si, powers_of
+from zeno_orbits.experiment.recordings.columns import TIMES, Column, ColumnNotes, columns_of
+from zeno_orbits.experiment.recordings.heads import Head, read_head
+from zeno_orbits.experiment.recordings.table import ColumnTable, read_table
 from zeno_orbits.work import ByValue, checked, require_kinds
 from zeno_orbits.work.files import write_pieces
 
 FORMAT = 1
 """Version of the file format that this code writes, and the newest that it reads."""
 
-_TIME = ("time", "t")
-_TITLE = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\))\s*")
 _MAGIC = re.compile(r"zeno-orbits data (\d+)")
 _ROWS = 1 << 16
 """Rows that are written at a time."""
@@ -201,8 +200,11 @@ def read_recording(
     only: Collection[str] = (),
     families: Collection[str] = (),
     units: Mapping[str, str] | None = None,
+    columns: ColumnNotes | None = None,
 ) -> Recording:
     """Read a recording in SI units.
+
+    Lines above the titles, a line of units below them and columns of text do not matter.
 
     Rows without a time or with the same time as the previous row are omitted. Infinite values are
     treated as missing. ``remarks`` lists both.
@@ -215,18 +217,20 @@ def read_recording(
             ``contact.STOP``.
         units: Units of the signals that a problem has, by name. The recorded units must measure the
             same, and the file must hold one of the signals, or a name of ``families``.
+        columns: What is known of the columns beside their titles.
 
     Raises:
         DataFileError: If the file cannot be read or parsed, or does not fit ``units``. The message
             names the line.
     """
+    known, told = units or {}, columns or ColumnNotes()
     path = Path(path)
-    head = read_head(path)
+    head = read_head(path, untitled=bool(told.names))
     notes = _notes(path, head)
-    titles = [_split(title) for title in head.columns]
-    names = [name for name, _ in titles]
-    time = _time_column(path, head, names)
-    wanted = only or names
+    found = columns_of(head, known, told)
+    names = [one.name for one in found]
+    time = _time_column(path, head, found, told)
+    wanted = only or [one.name for one in found if not one.holds_text]
     chosen = [
         k
         for k, name in enumerate(names)
@@ -234,21 +238,43 @@ def read_recording(
     ]
     for k in chosen:
         if names.count(names[k]) > 1:
-            told = f"line {head.line}: two of its columns are named `{names[k]}`"
-            raise DataFileError(path, f"{told}: rename or delete one")
-    known = units or {}
+            twice = f"line {head.line}: two of its columns are named `{names[k]}`"
+            raise DataFileError(path, f"{twice}: rename or delete one")
     if units is not None and not chosen:
         raise DataFileError(path, _no_signal(head, names, known, notes))
-    found = [_unit(path, head, *titles[k], known) for k in (time, *chosen)]
-    if found[0][0] != "s":
-        told = f"line {head.line}: column `{head.columns[time]}` is not a time"
-        raise DataFileError(path, f"{told}: write `time [s]` or `time [ms]`")
-    table = read_table(path, head, (time, *chosen))
+    for k in (*(() if time is None else (time,)), *chosen):
+        if found[k].trouble:
+            raise DataFileError(path, found[k].trouble)
+    return _of_columns(path, head, notes, found, time, chosen, known, told)
+
+
+def _of_columns(
+    path: Path,
+    head: Head,
+    notes: dict[str, str],
+    columns: Sequence[Column],
+    time: int | None,
+    chosen: Sequence[int],
+    known: Mapping[str, str],
+    told: ColumnNotes,
+) -> Recording:
+    """Return the recording of chosen columns, whose units are known."""
+    names = [one.name for one in columns]
+    table = read_table(path, head, (*(() if time is None else (time,)), *chosen))
+    if time is None and told.frame_rate is not None:
+        frames: Vector = np.arange(table.values.shape[1], dtype=np.float64) / told.frame_rate
+        table = replace(table, values=np.concatenate([frames[None], table.values]))
     kept, remarks = _sound_rows(path, table)
+    places = (*(() if time is None else (time,)), *chosen)
+    rows = table.values[table.values.shape[0] - len(places) :]
     # Whole columns are scaled without a copy: a second copy of a long recording may not fit.
-    for row, (_, factor) in zip(table.values, found, strict=True):
-        if factor != 1.0:
-            row *= factor
+    for row, k in zip(rows, places, strict=True):
+        if columns[k].zero:
+            row -= columns[k].zero
+        if columns[k].size != 1.0:
+            row *= columns[k].size
+            # A zero has no sign.
+            row += 0.0
     values = table.values if kept is None else table.values[:, kept]
     remarks += _missing(values[1:], [names[k] for k in chosen]) + _gaps(values[0])
     return Recording(
@@ -256,11 +282,16 @@ def read_recording(
         problem=_problem(notes),
         time=values[0],
         signals=tuple(
-            RecordedSignal(name=names[k], unit=unit, values=row)
-            for k, (unit, _), row in zip(chosen, found[1:], values[1:], strict=True)
+            RecordedSignal(name=names[k], unit=columns[k].unit, values=row)
+            for k, row in zip(chosen, values[1:], strict=True)
         ),
         notes=notes,
-        remarks=(*table.remarks, *_ignored(head, names, chosen, known), *remarks),
+        remarks=(
+            *table.remarks,
+            *_texts(columns, known),
+            *_ignored(head, names, chosen, known),
+            *remarks,
+        ),
     )
 
 
@@ -279,6 +310,13 @@ def _no_signal(
     )
 
 
+def _texts(columns: Sequence[Column], known: Mapping[str, str]) -> Iterator[str]:
+    """Yield a remark about columns of text, if all columns count."""
+    texts = [f"`{one.name}`" for one in columns if one.holds_text and not known]
+    if texts:
+        yield f"{counted(len(texts), 'column')} of text left out: {', '.join(texts)}"
+
+
 def _ignored(
     head: Head, names: Sequence[str], chosen: Sequence[int], known: Mapping[str, str]
 ) -> Iterator[str]:
@@ -286,7 +324,7 @@ def _ignored(
     missing = [name for name in known if name not in names]
     for k, name in enumerate(names):
         near = did_you_mean(name, missing) if name and k not in chosen else ""
-        if near and name.lower() not in _TIME:
+        if near and name.lower() not in TIMES:
             meant = near.removeprefix(" Did you mean ").removesuffix("?")
             told = (
                 f"line {head.line}: column `{name}` is not a signal of the problem and was left out"
@@ -323,41 +361,26 @@ def _problem(notes: dict[str, str]) -> str:
     return notes.pop("problem", older)
 
 
-def _split(title: str) -> tuple[str, str | None]:
-    found = _TITLE.fullmatch(title)
-    return (found[1], found[2] or found[3] or "") if found else (title, None)
+def _time_column(
+    path: Path, head: Head, columns: Sequence[Column], told: ColumnNotes
+) -> int | None:
+    """Return the index of the column of times, or ``None`` if the rows are frames.
 
-
-def _time_column(path: Path, head: Head, names: list[str]) -> int:
-    found = [k for k, name in enumerate(names) if name.lower() in _TIME]
+    Raises:
+        DataFileError: If there is none, or more than one.
+    """
+    found = [k for k, one in enumerate(columns) if one.is_time]
     if len(found) == 1:
         return found[0]
+    if not found and told.frame_rate is not None:
+        return None
+    names = [one.name for one in columns]
     titled = shorten(", ".join(names), 400, placeholder=" ...")
     count = "no" if not found else "more than one"
     near = next((name for name in names if did_you_mean(name, ("time",))), "")
     remedy = f"rename `{near}` to `time`" if near and not found else "name one column `time`"
-    told = f"line {head.line} has {count} column named `time` (its columns: {titled})"
-    raise DataFileError(path, f"{told}: {remedy}")
-
-
-def _unit(
-    path: Path, head: Head, name: str, unit: str | None, known: Mapping[str, str]
-) -> tuple[str, float]:
-    """Return a recorded unit in SI with its factor."""
-    where = f"line {head.line}"
-    if unit is None:
-        likely = "s" if name.lower() in _TIME else known.get(name, "rad")
-        reason = f"{where}: column `{name}` lacks a unit: write for instance `{name} [{likely}]`"
-        raise DataFileError(path, reason)
-    try:
-        found = in_si(unit)
-    except ValueError as error:
-        told = f"{where}: the unit of column `{name}` is not clear: {error}"
-        raise DataFileError(path, told) from error
-    if name in known and powers_of(found[0]) != powers_of(known[name]):
-        told = f"{where}: column `{name}` has the unit {unit}, but the signal counts in"
-        raise DataFileError(path, f"{told} {known[name]}: correct the title")
-    return found
+    said = f"line {head.line} has {count} column named `time` (its columns: {titled})"
+    raise DataFileError(path, f"{said}: {remedy}")
 
 
 def _sound_rows(path: Path, table: ColumnTable) -> tuple[NDArray[np.int64] | None, tuple[str, ...]]:

@@ -8,48 +8,23 @@ from __future__ import annotations
 
 import io
 import math
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import CONTROLS, DataFileError
-
-_PIECE = 1 << 22
-"""Bytes per piece: large enough for an efficient parser, and small compared with the values."""
-
-_SEPARATORS = ("\t", ";", ",")
-"""In the order of the search: a comma may also be a decimal sign."""
-
-_MISSING = frozenset({"", "-", "nan", "na", "n/a", "#n/a", "null", "none", "missing"})
-"""Marks for a missing value, in lower case."""
-
-_TIME_ALONE = re.compile(r"t(ime)?\s*([\[(][^\])]*[\])])?", flags=re.IGNORECASE)
-"""A line of titles that names the time and nothing else."""
-
-_UTF16 = (b"\xff\xfe", b"\xfe\xff")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Head:
-    """Header of a file: the lines above the values.
-
-    Attributes:
-        comments: The lines that begin with ``#``, without it.
-        columns: The titles, as they are written.
-        separator: Between columns.
-        line: Number of the line of titles, from 1.
-    """
-
-    comments: tuple[str, ...]
-    columns: tuple[str, ...]
-    separator: str
-    line: int
+from zeno_orbits.errors import DataFileError
+from zeno_orbits.experiment.recordings.heads import (
+    MISSING,
+    Head,
+    number_of,
+    opened,
+    pieces_of,
+    short,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,46 +42,6 @@ class ColumnTable:
     remarks: tuple[str, ...]
 
 
-def read_head(path: Path) -> Head:
-    """Return the header of a file.
-
-    Raises:
-        DataFileError: If the file cannot be read, is not text, or lacks a line of titles.
-    """
-    comments: list[str] = []
-    with _opened(path) as file:
-        for number, line in enumerate(_lines(_pieces(file)), start=1):
-            text = line.strip()
-            if text.startswith("#"):
-                comments.append(text[1:].strip())
-            elif text:
-                return _head(path, text, tuple(comments), number)
-    raise DataFileError(path, "a line of column titles is missing, such as `time [s],angle [rad]`")
-
-
-def _head(path: Path, text: str, comments: tuple[str, ...], line: int) -> Head:
-    if text[0] in "{[":
-        raise DataFileError(path, f"it is JSON and no table. Line {line} must hold column titles")
-    separator = next((one for one in _SEPARATORS if one in text), None)
-    if separator is None and _TIME_ALONE.fullmatch(text):
-        told = f"line {line} names one column, `{_short(text)}`"
-        remedy = "separate the columns by commas, semicolons or tabs, and record a signal"
-        raise DataFileError(path, f"{told}: {remedy}")
-    if separator is None:
-        wanted = "must separate its columns by commas, semicolons or tabs"
-        raise DataFileError(path, f"line {line} {wanted}: `{_short(text)}`")
-    columns = tuple(part.strip().strip('"').strip() for part in text.split(separator))
-    if any(map(CONTROLS.search, columns)):
-        raise DataFileError(path, f"line {line} holds control characters in a title")
-    if all(_number(part.replace(",", ".")) is not None for part in columns):
-        raise DataFileError(
-            path,
-            f"line {line} holds numbers in place of the column titles: add a line such as "
-            "`time [s],angle [rad]`",
-        )
-    return Head(comments=comments, columns=columns, separator=separator, line=line)
-
-
 def read_table(path: Path, head: Head, chosen: Sequence[int]) -> ColumnTable:
     """Return the values of chosen columns.
 
@@ -122,8 +57,8 @@ def read_table(path: Path, head: Head, chosen: Sequence[int]) -> ColumnTable:
         DataFileError: If a line has a different number of columns, or a text in place of a value.
     """
     reader = _Reader(path, head, tuple(chosen))
-    with _opened(path) as file:
-        for piece in _pieces(file):
+    with opened(path) as file:
+        for piece in pieces_of(file):
             reader.take(piece)
     return reader.table()
 
@@ -143,8 +78,8 @@ class _Reader:
         first, self.line = self.line + 1, self.line + piece.count("\n")
         if not piece.endswith("\n"):
             self.line += 1
-        if first <= self.head.line:
-            skipped = min(self.head.line - first + 1, piece.count("\n") + 1)
+        if first <= self.head.last:
+            skipped = min(self.head.last - first + 1, piece.count("\n") + 1)
             for _ in range(skipped):
                 _, _, piece = piece.partition("\n")
             first += skipped
@@ -219,17 +154,17 @@ class _Reader:
         return [self.entry(parts[k], k, line) for k in self.chosen]
 
     def entry(self, text: str, column: int, line: int) -> float:
-        if text.lower() in _MISSING:
+        if text.lower() in MISSING:
             return math.nan
         sign = "," if "," in text else "." if "." in text else ""
         if sign and self.decimal and sign != self.decimal:
             reason = f"writes decimals with `{sign}` and other lines with `{self.decimal}`"
-            raise DataFileError(self.path, f"line {line} {reason}: `{_short(text)}`")
+            raise DataFileError(self.path, f"line {line} {reason}: `{short(text)}`")
         self.decimal = sign or self.decimal
-        number = _number(text.replace(",", ".")) if text.count(",") < 2 else None
+        number = number_of(text.replace(",", ".")) if text.count(",") < 2 else None
         if number is None:
             title = self.head.columns[column]
-            message = f"line {line} has `{_short(text)}` where column `{title}` has a number"
+            message = f"line {line} has `{short(text)}` where column `{title}` has a number"
             raise DataFileError(self.path, f"{message}: correct or empty it")
         return number
 
@@ -254,63 +189,3 @@ class _Reader:
             # Each piece is given back as soon as it is copied, so that only one copy is held.
             self.blocks[k] = None
         return ColumnTable(values=values, lines=lines, remarks=tuple(self.remarks))
-
-
-def _opened(path: Path) -> BinaryIO:
-    try:
-        if not path.is_dir() and path.exists() and not path.is_file():
-            # A pipe or a device may not end.
-            raise DataFileError(path, "it is a pipe or a device, and not a file")
-        return path.open("rb")
-    except OSError as error:
-        raise DataFileError(path, f"it cannot be read ({error.strerror})") from error
-
-
-def _pieces(file: BinaryIO) -> Iterator[str]:
-    """Yield a file in pieces of whole lines with normalised line ends. The last line may be cut."""
-    path = Path(file.name)
-    rest = b""
-    first = True
-    while data := file.read(_PIECE):
-        if first and data.startswith(_UTF16):
-            raise DataFileError(path, "it is UTF-16 text; save it as UTF-8")
-        if b"\0" in data:
-            raise DataFileError(
-                path, "it holds zero bytes, which no text has: save it as text, such as CSV"
-            )
-        data = rest + (data.removeprefix(b"\xef\xbb\xbf") if first else data)
-        first = False
-        # A return at the very end may be half of the pair that ends a line in other systems.
-        end = max(data.rfind(b"\n"), data.rfind(b"\r", 0, len(data) - 1)) + 1
-        rest = data[end:]
-        if end:
-            yield _text(data[:end])
-    if rest:
-        yield _text(rest)
-
-
-def _text(data: bytes) -> str:
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
-    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
-
-
-def _lines(pieces: Iterator[str]) -> Iterator[str]:
-    for piece in pieces:
-        yield from piece.removesuffix("\n").split("\n")
-
-
-def _number(text: str) -> float | None:
-    # `float` reads underscores too, which no instrument writes.
-    if "_" in text:
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        return None
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 40 else text[:37] + "..."

@@ -2,6 +2,7 @@ from .console import print_error as print_error
 from .console import print_lines as print_lines
 from .console import print_whole as print_whole
 from .experiments import print_comparison as print_comparison
+from .experiments import print_description as print_description
 from .experiments import print_contacts as print_contacts
 from .experiments import print_identification as print_identification
 from .experiments import print_rig as print_rig

@@ -21,12 +21,14 @@ from zeno_orbits.report.table import (
 from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
+    from zeno_orbits.experiment import Column as FileColumn
     from zeno_orbits.experiment import (
         Comparison,
         FittedParameter,
         Identification,
         Metric,
         Recording,
+        RecordingDescription,
         RigComparison,
     )
 
@@ -140,6 +142,42 @@ def print_contacts(
     names = stops or [""] * len(contacts)
     print_table(columns, list(zip(names, contacts, strict=True)))
     print_lines([f"Simulated, not measured: {counted(len(contacts), 'contact')} of {name}."])
+
+
+def print_description(found: RecordingDescription) -> None:
+    """Print what a file was understood to be: its extent, and a row for every column."""
+    recording = found.recording
+    if recording is None:
+        print_lines([f"Not a recording: {found.trouble}."])
+    else:
+        rows = counted(len(recording.time), "row")
+        span = f"from {recording.time[0]:.7g} to {recording.time[-1]:.7g} s"
+        print_lines([f"A recording of {rows} {span}, {found.rate:.4g} rows a second."])
+
+    def bound(one: FileColumn, k: int) -> str:
+        extent = found.extent(one)
+        return "" if extent is None else _seven(extent[k])
+
+    def missing(one: FileColumn) -> str:
+        extent = found.extent(one)
+        return str(extent[2]) if extent is not None and extent[2] else ""
+
+    def role(one: FileColumn) -> str:
+        return found.role(one) if one.holds_text or not one.trouble else "cannot be used"
+
+    columns: list[Column[FileColumn]] = [
+        name_column("title", lambda one: one.title or "(empty)"),
+        name_column("name", lambda one: one.name),
+        text_column("unit", lambda one: one.unit),
+        number_column("least", lambda one: bound(one, 0)),
+        number_column("greatest", lambda one: bound(one, 1)),
+        number_column("missing", missing),
+        text_column("counts as", role),
+    ]
+    print_table(columns, found.columns)
+    troubles = [one.trouble for one in found.columns if one.trouble and not one.holds_text]
+    remarks = () if recording is None else recording.remarks
+    print_lines(f"Note: {remark}." for remark in (*troubles, *remarks))
 
 
 def print_comparison(found: Comparison) -> None:

@@ -1,0 +1,220 @@
+"""Files as instruments and programs write them: what they say, and which are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import zeno_orbits as zo
+from zeno_orbits.errors import DataFileError, InputError
+from zeno_orbits.experiment import describe_recording, read_recording
+
+G = 9.80665
+DEGREE = 0.017453292519943295
+
+
+class Foreign(NamedTuple):
+    """A file, what its user says of it, and its times and signals by hand."""
+
+    text: str
+    notes: zo.ColumnNotes
+    time: tuple[float, float]
+    signals: Mapping[str, tuple[str, float, float]]
+
+
+PLAIN = zo.ColumnNotes()
+FILES = {
+    "phyphox": Foreign(
+        '"Time (s)","Acceleration z (m/s^2)"\n0.000E0,9.81E0\n1.0E-2,1.9E1\n',
+        PLAIN,
+        (0.0, 0.01),
+        {"Acceleration z": ("m/s^2", 9.81, 19.0)},
+    ),
+    "phyphox with decimal commas": Foreign(
+        '"Time (s)";"Gyroscope x (rad/s)"\n0,000E0;1,5E0\n2,5E-2;-1,5E0\n',
+        PLAIN,
+        (0.0, 0.025),
+        {"Gyroscope x": ("rad/s", 1.5, -1.5)},
+    ),
+    "acceleration in g": Foreign(
+        "t (ms),accel_x (g)\n0,1\n10,-2.5\n",
+        PLAIN,
+        (0.0, 0.01),
+        {"accel_x": ("m/s^2", G, -2.5 * G)},
+    ),
+    "mass in g": Foreign(
+        "t (ms),load (g)\n0,1\n10,2\n", PLAIN, (0.0, 0.01), {"load": ("kg", 0.001, 0.002)}
+    ),
+    "Tracker": Foreign(
+        "mass_A\t\t\nt\tx\ty\n0.0\t0.10\t1.00\n0.033\t0.12\t0.95\n",
+        zo.ColumnNotes(units={"t": "s", "x": "m", "y": "m"}),
+        (0.0, 0.033),
+        {"x": ("m", 0.1, 0.12), "y": ("m", 1.0, 0.95)},
+    ),
+    "a video in pixels": Foreign(
+        "frame,y_px\n100,512\n101,500\n",
+        zo.ColumnNotes(
+            names={"y_px": "height"},
+            units={"height": "-0.5 mm"},
+            zeros={"height": 512.0},
+            frame_rate=200.0,
+        ),
+        (0.5, 0.505),
+        {"height": ("m", 0.0, 0.006)},
+    ),
+    "rows as frames": Foreign(
+        "x [mm],y [mm]\n1,2\n3,4\n",
+        zo.ColumnNotes(frame_rate=50.0),
+        (0.0, 0.02),
+        {"x": ("m", 0.001, 0.003), "y": ("m", 0.002, 0.004)},
+    ),
+    "an oscilloscope with a preamble": Foreign(
+        "Model,TBS1072\nFirmware,v1.2\nHorizontal Units,s\n\nTIME,CH1\n-0.01,0.04\n-0.008,4.96\n",
+        zo.ColumnNotes(units={"TIME": "s", "CH1": "V"}),
+        (-0.01, -0.008),
+        {"CH1": ("V", 0.04, 4.96)},
+    ),
+    "an oscilloscope with values beside its preamble": Foreign(
+        "Record Length,2500,Points,-0.001,0.5,\nInterval,4e-6,s,-0.0009,0.6,\n,,,-0.0008,0.7,\n",
+        zo.ColumnNotes(names={"4": "time", "5": "CH1"}, units={"time": "s", "CH1": "V"}),
+        (-0.001, -0.0008),
+        {"CH1": ("V", 0.5, 0.7)},
+    ),
+    "units in a line below the titles": Foreign(
+        "Source,CH1\nSecond,Volt\n-0.007,0.024\n-0.006,0.025\n",
+        zo.ColumnNotes(names={"Source": "time"}),
+        (-0.007, -0.006),
+        {"CH1": ("V", 0.024, 0.025)},
+    ),
+    "units in brackets below the titles": Foreign(
+        "time\tangle\n(ms)\t(deg)\n0\t90\n5\t-90\n",
+        PLAIN,
+        (0.0, 0.005),
+        {"angle": ("rad", 90 * DEGREE, -90 * DEGREE)},
+    ),
+    "counts of a sampler": Foreign(
+        "X,CH1,Start,Increment,\nSequence,Volt,-1.0e-3,2.0e-6,\n0,0.4,,\n1,0.5,,\n",
+        zo.ColumnNotes(names={"1": "time", "2": "CH1"}, units={"time": "2e-6 s", "CH1": "V"}),
+        (0.0, 2e-6),
+        {"CH1": ("V", 0.4, 0.5)},
+    ),
+    "a spreadsheet that names its separator": Foreign(
+        "sep=;\ntime [s];angle [deg]\n0;1,5\n1;2,5\n",
+        PLAIN,
+        (0.0, 1.0),
+        {"angle": ("rad", 1.5 * DEGREE, 2.5 * DEGREE)},
+    ),
+    "a measurement with a long head": Foreign(
+        "Writer_Version\t2\nSeparator\tTab\n***End_of_Header***\t\n"
+        "Channels\t2\t\nX_Value\tVoltage\tComment\n0.0\t1.0\t\n0.1\t2.0\t\n",
+        zo.ColumnNotes(names={"X_Value": "time"}, units={"time": "s", "Voltage": "V"}),
+        (0.0, 0.1),
+        {"Voltage": ("V", 1.0, 2.0)},
+    ),
+    "a microcontroller without titles": Foreign(
+        "1000,512\n1010,540\n1020,533\n",
+        zo.ColumnNotes(
+            names={"1": "time", "2": "angle"},
+            units={"time": "ms", "angle": "0.25 deg"},
+            zeros={"time": 1000.0, "angle": 512.0},
+        ),
+        (0.0, 0.02),
+        {"angle": ("rad", 0.0, 21 * 0.25 * DEGREE)},
+    ),
+    "a logic analyser": Foreign(
+        "Time[s], Channel 0\n0.000000000, 0\n0.000125000, 1\n",
+        zo.ColumnNotes(names={"Channel 0": "contact"}, units={"contact": "1"}),
+        (0.0, 0.000125),
+        {"contact": ("1", 0.0, 1.0)},
+    ),
+    "columns of text": Foreign(
+        "time [s],state,angle [rad],note\n0,idle,1,\n1,run,2,late\n",
+        PLAIN,
+        (0.0, 1.0),
+        {"angle": ("rad", 1.0, 2.0)},
+    ),
+    "empty columns": Foreign(
+        "time [s],angle [rad],\n0,1,\n1,2,\n", PLAIN, (0.0, 1.0), {"angle": ("rad", 1.0, 2.0)}
+    ),
+    "an encoder and a motor": Foreign(
+        "t [us]\tenc [counts]\tpwm [%]\n0\t0\t50\n1000\t1024\t-50\n",
+        zo.ColumnNotes(units={"enc": "0.087890625 deg", "pwm": "0.24 V"}),
+        (0.0, 0.001),
+        {"enc": ("rad", 0.0, 90 * DEGREE), "pwm": ("V", 12.0, -12.0)},
+    ),
+    "other ends of lines": Foreign(
+        "time [s],x [m]\r\n0,1\r\n1,2\r\n", PLAIN, (0.0, 1.0), {"x": ("m", 1.0, 2.0)}
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_is_read_as_its_instrument_meant_it(name: str, tmp_path: Path) -> None:
+    file, path = FILES[name], tmp_path / "data.csv"
+    path.write_bytes(file.text.encode())
+    found = describe_recording(path, columns=file.notes)
+    assert found.recording is not None, found.trouble
+    recording = found.recording
+    assert (recording.time[0], recording.time[-1]) == pytest.approx(file.time, rel=1e-12)
+    assert set(recording.names) == set(file.signals)
+    for signal, (unit, first, last) in file.signals.items():
+        values = recording.signal(signal)
+        assert values.unit == unit
+        assert (values.values[0], values.values[-1]) == pytest.approx((first, last), rel=1e-12)
+    # A recording that is written is read alike.
+    zo.write_recording(recording, tmp_path / "again.csv")
+    again = read_recording(tmp_path / "again.csv")
+    assert again.signals == recording.signals
+    assert again.time.tolist() == recording.time.tolist()
+
+
+REFUSED = {
+    "pixels": ("time [s],y [px]\n0,1\n1,2\n", PLAIN, "the unit of column `y` is not clear: `px`"),
+    "no unit": ("t,x [m]\n0,1\n1,2\n", PLAIN, "column `t` lacks a unit"),
+    "no time": ("x [m],y [m]\n0,1\n1,2\n", PLAIN, "no column named `time`"),
+    "dates": ("time,x [m]\n12:00:01,1\n12:00:02,2\n", PLAIN, "column `time` holds text"),
+    "spaces": ("time x\n0 1\n1 2\n", PLAIN, "must separate its columns"),
+    "no titles": ("0,1\n1,2\n", PLAIN, "numbers in place of the column titles"),
+    "a page": ("<html><body>data</body></html>\n", PLAIN, "must separate its columns"),
+    "text": ("Dear reader, this is\nno table, at all.\n", PLAIN, "no column named `time`"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_missing_is_named(name: str, tmp_path: Path) -> None:
+    text, notes, reason = REFUSED[name]
+    path = tmp_path / "data.csv"
+    path.write_text(text)
+    with pytest.raises(DataFileError, match=reason):
+        read_recording(path, columns=notes)
+
+
+WRONG = {
+    "an unknown title": ({"names": {"z": "x"}}, "Argument `names`: unknown"),
+    "a number beyond the last": ({"names": {"9": "x"}}, "Argument `names`: unknown"),
+    "an unknown quantity": ({"units": {"z": "m"}}, "Argument `units`: unknown"),
+    "no unit": ({"units": {"x": "furlong"}}, "Argument `units` has for `x`"),
+    "no size": ({"units": {"x": "0 m"}}, "Argument `units` has for `x` a unit of size 0"),
+    "an infinite size": ({"units": {"x": "1e999 m"}}, "Argument `units` has for `x` a unit of"),
+    "an infinite zero": ({"zeros": {"x": float("inf")}}, r"zeros\[x\]"),
+    "a rate": ({"frame_rate": -1.0}, "Argument `frame_rate` must be a positive number"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_notes_that_do_not_fit_are_refused(name: str, tmp_path: Path) -> None:
+    given, reason = WRONG[name]
+    path = tmp_path / "data.csv"
+    path.write_text("time [s],x [m]\n0,1\n1,2\n")
+    with pytest.raises(InputError, match=reason):
+        describe_recording(path, columns=zo.ColumnNotes(**given))
+
+
+def test_an_interval_of_text_and_numbers_stays_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text("time [s],x [m]\n0,1\n1,2\n2,lost\n")
+    with pytest.raises(DataFileError, match="line 4 has `lost` where column `x"):
+        read_recording(path)

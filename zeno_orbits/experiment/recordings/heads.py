@@ -1,0 +1,301 @@
+"""The head of a table of values in a text file: its separator, its titles, and where values begin.
+
+Instruments write lines of their own above the titles, and some write the units in a line below
+them. Values begin at the first of two lines that have numbers in the same columns.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import BinaryIO
+
+from zeno_orbits.errors import CONTROLS, DataFileError
+from zeno_orbits.model.expressions.units import in_si
+
+_PIECE = 1 << 22
+"""Bytes per piece: large enough for an efficient parser, and small compared with the values."""
+
+_SEPARATORS = ("\t", ";", ",")
+"""In the order of the search: a comma may also be a decimal sign."""
+
+MISSING = frozenset({"", "-", "nan", "na", "n/a", "#n/a", "null", "none", "missing"})
+"""Marks for a missing value, in lower case."""
+
+_TIME_ALONE = re.compile(r"t(ime)?\s*([\[(][^\])]*[\])])?", flags=re.IGNORECASE)
+"""A line of titles that names the time and nothing else."""
+
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+_MOST_LINES = 400
+"""Lines in which the values must begin."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Head:
+    """Header of a file: the lines above the values.
+
+    Attributes:
+        comments: The lines that begin with ``#``, without it.
+        columns: The titles, as they are written, or numbers from 1 without titles.
+        units: What the line below the titles says of each column, or empty without such a line.
+        numeric: For each column, whether the first line of values has a number, or a mark for a
+            missing value.
+        separator: Between columns.
+        line: Number of the line of titles, from 1.
+        last: Number of the last line above the values.
+    """
+
+    comments: tuple[str, ...]
+    columns: tuple[str, ...]
+    separator: str
+    line: int
+    last: int
+    units: tuple[str, ...] = ()
+    numeric: tuple[bool, ...] = ()
+
+
+def read_head(path: Path, *, untitled: bool = False) -> Head:
+    """Return the header of a file.
+
+    Args:
+        path: The file.
+        untitled: Whether a file without titles is accepted. Its columns are numbered.
+
+    Raises:
+        DataFileError: If the file cannot be read, is not text, or lacks a line of titles.
+    """
+    comments: list[str] = []
+    lines: list[tuple[int, str]] = []
+    with opened(path) as file:
+        for number, line in enumerate(islice(_lines(pieces_of(file)), _MOST_LINES), start=1):
+            text = line.strip()
+            if text.startswith("#") and not lines:
+                comments.append(text[1:].strip())
+            elif text and not text.startswith("#"):
+                # A separator at an end stands for an empty entry.
+                lines.append((number, line.strip(" \r")))
+    if not lines:
+        raise DataFileError(
+            path, "a line of column titles is missing, such as `time [s],angle [rad]`"
+        )
+    if lines[0][1].lstrip()[0] in "{[":
+        raise DataFileError(
+            path, f"it is JSON and no table. Line {lines[0][0]} must hold column titles"
+        )
+    head = _above_values(lines, tuple(comments), untitled=untitled)
+    if head is None:
+        number, text = lines[0]
+        head = _of_titles(path, text.strip(), tuple(comments), number)
+    if any(map(CONTROLS.search, head.columns)):
+        raise DataFileError(path, f"line {head.line} holds control characters in a title")
+    return head
+
+
+def _above_values(
+    lines: Sequence[tuple[int, str]], comments: tuple[str, ...], *, untitled: bool
+) -> Head | None:
+    """Return the header above the first lines of values, or ``None`` if there are none.
+
+    Args:
+        lines: Number and text of each line.
+        comments: The comments above.
+        untitled: Whether titles may be missing.
+    """
+    best: tuple[int, int, str] | None = None
+    for separator in _SEPARATORS:
+        rows = [_parts(text, separator) for _, text in lines]
+        for k, row in enumerate(rows):
+            after = rows[k + 1] if k + 1 < len(rows) else row
+            found = _numbers(row)
+            n_found = sum(found)
+            if len(row) < 2 or not n_found or _holds_text(row, after):
+                continue
+            if best is None or n_found > best[0]:
+                best = n_found, k, separator
+            break
+    if best is None:
+        return None
+    _, first, separator = best
+    return _head_at(lines, first, separator, comments, untitled=untitled)
+
+
+def _head_at(
+    lines: Sequence[tuple[int, str]],
+    first: int,
+    separator: str,
+    comments: tuple[str, ...],
+    *,
+    untitled: bool,
+) -> Head | None:
+    """Return the header of values that begin at a line, or ``None`` if no titles fit them."""
+    values = _parts(lines[first][1], separator)
+    numeric = _numbers(values, missing=True)
+    last = lines[first - 1][0] if first else lines[0][0] - 1
+    above = [_parts(text, separator) for _, text in lines[max(0, first - 2) : first]]
+    titles = above[-1] if above and _names(above[-1], values) else None
+    if titles is None and not untitled:
+        return None
+    head = Head(
+        comments=comments,
+        columns=tuple(titles or (str(k + 1) for k in range(len(values)))),
+        separator=separator,
+        line=last,
+        last=last,
+        numeric=numeric,
+    )
+    has_units = titles is not None and len(above) == 2 and _are_units(titles, numeric)
+    if titles is None or not has_units or not _names(above[0], values):
+        return head
+    units = tuple(map(_unit_said, titles))
+    return replace(head, columns=tuple(above[0]), units=units, line=lines[first - 2][0])
+
+
+def _names(row: Sequence[str], values: Sequence[str]) -> bool:
+    """Return True if a line names each column of numbers, and no line of values is as long."""
+    fits = len(row) == len(values) or (len(values) == len(row) + 1 and not values[-1])
+    numbers = _numbers(values)
+    return fits and all(
+        title and number_of(title.replace(",", ".")) is None
+        for title, is_number in zip(row, numbers, strict=False)
+        if is_number
+    )
+
+
+def _are_units(row: Sequence[str], numeric: Sequence[bool]) -> bool:
+    """Return True if a line has a unit for every column of numbers that it says something of."""
+    said = [_unit_said(one) for one, is_number in zip(row, numeric, strict=False) if is_number]
+    return any(said) and all(not one or _is_unit(one) for one in said)
+
+
+def _unit_said(text: str) -> str:
+    """Return a unit without brackets. Some instruments write `Volt` for `volt`."""
+    unit = text.strip("()[]")
+    return unit if _is_unit(unit) or not _is_unit(unit.lower()) else unit.lower()
+
+
+def _is_unit(text: str) -> bool:
+    try:
+        in_si(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(row: Sequence[str], *, missing: bool = False) -> tuple[bool, ...]:
+    """Return for each entry of a line whether it is a number, or also a mark for none."""
+    return tuple(
+        (missing and part.lower() in MISSING)
+        or (part.count(",") < 2 and number_of(part.replace(",", ".")) is not None)
+        for part in row
+    )
+
+
+def _holds_text(row: Sequence[str], after: Sequence[str]) -> bool:
+    """Return True if the line after another has text where that has numbers, or other columns."""
+    fits = abs(len(row) - len(after)) <= 1 or len(after) < len(row)
+    now, later = _numbers(row), _numbers(after)
+    return (
+        not fits
+        or not any(one and other for one, other in zip(now, later, strict=False))
+        or not all(
+            other for one, other in zip(now, _numbers(after, missing=True), strict=False) if one
+        )
+    )
+
+
+def _parts(text: str, separator: str) -> list[str]:
+    return [part.strip().strip('"').strip() for part in text.split(separator)]
+
+
+def _of_titles(path: Path, text: str, comments: tuple[str, ...], line: int) -> Head:
+    """Return the header of a file whose first line holds titles.
+
+    Raises:
+        DataFileError: If it does not.
+    """
+    separator = next((one for one in _SEPARATORS if one in text), None)
+    if separator is None and _TIME_ALONE.fullmatch(text):
+        told = f"line {line} names one column, `{short(text)}`"
+        remedy = "separate the columns by commas, semicolons or tabs, and record a signal"
+        raise DataFileError(path, f"{told}: {remedy}")
+    if separator is None:
+        wanted = "must separate its columns by commas, semicolons or tabs"
+        raise DataFileError(path, f"line {line} {wanted}: `{short(text)}`")
+    columns = tuple(_parts(text, separator))
+    if all(number_of(part.replace(",", ".")) is not None for part in columns):
+        raise DataFileError(
+            path,
+            f"line {line} holds numbers in place of the column titles: add a line such as "
+            "`time [s],angle [rad]`",
+        )
+    return Head(comments=comments, columns=columns, separator=separator, line=line, last=line)
+
+
+def opened(path: Path) -> BinaryIO:
+    """Return a file opened for reading.
+
+    Raises:
+        DataFileError: If it cannot be read, or may not end.
+    """
+    try:
+        if not path.is_dir() and path.exists() and not path.is_file():
+            # A pipe or a device may not end.
+            raise DataFileError(path, "it is a pipe or a device, and not a file")
+        return path.open("rb")
+    except OSError as error:
+        raise DataFileError(path, f"it cannot be read ({error.strerror})") from error
+
+
+def pieces_of(file: BinaryIO) -> Iterator[str]:
+    """Yield a file in pieces of whole lines with normalised line ends. The last line may be cut."""
+    path = Path(file.name)
+    rest = b""
+    first = True
+    while data := file.read(_PIECE):
+        if first and data.startswith(_UTF16):
+            raise DataFileError(path, "it is UTF-16 text; save it as UTF-8")
+        if b"\0" in data:
+            raise DataFileError(
+                path, "it holds zero bytes, which no text has: save it as text, such as CSV"
+            )
+        data = rest + (data.removeprefix(b"\xef\xbb\xbf") if first else data)
+        first = False
+        # A return at the very end may be half of the pair that ends a line in other systems.
+        end = max(data.rfind(b"\n"), data.rfind(b"\r", 0, len(data) - 1)) + 1
+        rest = data[end:]
+        if end:
+            yield _text(data[:end])
+    if rest:
+        yield _text(rest)
+
+
+def _text(data: bytes) -> str:
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+
+
+def _lines(pieces: Iterator[str]) -> Iterator[str]:
+    for piece in pieces:
+        yield from piece.removesuffix("\n").split("\n")
+
+
+def number_of(text: str) -> float | None:
+    """Return the number that a text is, or ``None``."""
+    # `float` reads underscores too, which no instrument writes.
+    if "_" in text:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def short(text: str) -> str:
+    """Return the beginning of a text, for a message."""
+    return text if len(text) <= 40 else text[:37] + "..."
