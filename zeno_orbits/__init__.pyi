@@ -90,8 +90,8 @@ from .model.rig_parts import Sensors as Sensors
 from .model.rig_parts import PwmSettings as PwmSettings
 from .model.stops import Stop as Stop
 from .model.stops import Switch as Switch
-from .model.waveforms import harmonics as harmonics
-from .model.waveforms import piecewise as piecewise
+from .model.drives.waveforms import harmonics as harmonics
+from .model.drives.waveforms import piecewise as piecewise
 from .orbits.bounds import Bound as Bound
 from .orbits.orbit_file import read_orbit as read_orbit
 from .orbits.orbit_file import write_orbit as write_orbit

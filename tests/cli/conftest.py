@@ -14,7 +14,7 @@ from tests.support.commands import (
     ask,
 )
 from zeno_orbits.model import Problem
-from zeno_orbits.model.expressions import formulas as symbolic
+from zeno_orbits.model import formulas as symbolic
 
 
 @pytest.fixture(name="searched", scope="session")

@@ -101,5 +101,5 @@ def test_json_is_printed_without_rich() -> None:
 @pytest.mark.slow
 def test_a_module_that_draws_is_seen_to_load_matplotlib() -> None:
     assert loaded_by("import zeno_orbits.report.plots.style", RARE) >= {"matplotlib"}
-    assert loaded_by("import zeno_orbits.model.expressions.formulas", RARE) >= {"sympy"}
+    assert loaded_by("import zeno_orbits.model.formulas", RARE) >= {"sympy"}
     assert loaded_by("import scipy.stats", SCIPY) == set(SCIPY)

@@ -66,7 +66,7 @@ def equilibrium_acceleration(
     Raises:
         InputError: If a name is unknown or a value is out of range.
     """
-    from zeno_orbits.model.expressions import formulas
+    from zeno_orbits.model import formulas
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)

@@ -13,9 +13,9 @@ from .drives.drives import full_drive as full_drive
 from .drives.drives import ideal_torque_drive as ideal_torque_drive
 from .drives.drives import no_drive as no_drive
 from .drives.drives import quasi_static_drive as quasi_static_drive
-from .expressions.formulas import acceleration_formula as acceleration_formula
-from .expressions.formulas import six_digits as six_digits
-from .expressions.formulas import with_numbers as with_numbers
+from .formulas import acceleration_formula as acceleration_formula
+from .formulas import six_digits as six_digits
+from .formulas import with_numbers as with_numbers
 from .hybrid import CompletedSystem as CompletedSystem
 from .hybrid import accelerate as accelerate
 from .hybrid import with_energy_ledger as with_energy_ledger

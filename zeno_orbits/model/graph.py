@@ -21,12 +21,12 @@ import casadi as ca
 
 from zeno_orbits.model.drives.auxiliary import Auxiliary
 from zeno_orbits.model.drives.circuits import Drive
+from zeno_orbits.model.drives.waveforms import TimeOrder, time_orders
 from zeno_orbits.model.expressions.kinks import branched
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate, completed
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.modes import GraphMode, ModeGraph, formulas_of, kinks_of
 from zeno_orbits.model.stops import Stop, Switch, require_event_names, watched
-from zeno_orbits.model.waveforms import TimeOrder, time_orders
 from zeno_orbits.work import checked
 
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, fields, replace
 import casadi as ca
 
 from zeno_orbits.model.drives.circuits import Drive
+from zeno_orbits.model.drives.waveforms import TimeOrder
 from zeno_orbits.model.expressions.kinks import branched, is_smooth, sided
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.stops import Stop, Switch, watched
-from zeno_orbits.model.waveforms import TimeOrder
 
 GraphMode = tuple[tuple[int, ...], tuple[bool, ...]]
 """A mode: the indices of its closed stops in increasing order, and the side of every kink."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, shortened
-from zeno_orbits.model.expressions.domains import named_formulas, require_finite, require_rising_gap
+from zeno_orbits.model.domains import named_formulas, require_finite, require_rising_gap
 from zeno_orbits.model.expressions.units import ELECTRICAL, is_electrical_unit, is_rate_of
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.mistakes import NotSymbolicError, holds_nan

@@ -1,1 +1,1 @@
-"""Drives: circuits, motors and further states that act on a mechanism."""
+"""Drives: circuits, motors, waveforms and further states that act on a mechanism."""

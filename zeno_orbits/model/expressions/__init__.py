@@ -1,1 +1,1 @@
-"""Formulas: units, kinks, operations, domains, and formulas as a person reads them."""
+"""Formulas: their operations, their kinks, and the units of their values."""

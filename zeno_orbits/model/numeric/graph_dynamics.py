@@ -16,7 +16,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model.contact import MULTIPLIER_RATE
-from zeno_orbits.model.expressions.domains import undefined_ahead
+from zeno_orbits.model.domains import undefined_ahead
+from zeno_orbits.model.drives.waveforms import LEAST_PART
 from zeno_orbits.model.graph import guard_and_flow, system_of_stop
 from zeno_orbits.model.modes import GraphMode, ModeGraph
 from zeno_orbits.model.numeric.binding import bind
@@ -35,7 +36,6 @@ from zeno_orbits.model.numeric.own_scale import own_scale
 from zeno_orbits.model.scale import CharacteristicScales
 from zeno_orbits.model.starts import Starts
 from zeno_orbits.model.stops import continuous_arming
-from zeno_orbits.model.waveforms import LEAST_PART
 
 _ZERO = 1e-12
 """Part of a switch's size below which its guard counts as zero."""

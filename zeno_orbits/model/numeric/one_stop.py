@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.expressions.domains import undefined_ahead
+from zeno_orbits.model.domains import undefined_ahead
 from zeno_orbits.model.modes import GraphMode
 from zeno_orbits.model.numeric.graph_dynamics import GraphDynamics, states_ahead
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
