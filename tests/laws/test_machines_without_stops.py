@@ -138,7 +138,7 @@ def test_walking_ends_where_the_wheel_stands_on_one_spoke() -> None:
 
 
 def test_what_needs_a_stop_is_refused() -> None:
-    with pytest.raises(InputError, match="has no stop, so it has no Zeno point"):
+    with pytest.raises(InputError, match="lacks a stop, so no Zeno point exists"):
         zo.zeno_condition(wheel())
     x, v = ca.SX.sym("x"), ca.SX.sym("v")
     energies = {"q": x, "v": v, "kinetic": v**2 / 2, "potential": ca.SX(0)}
@@ -198,4 +198,4 @@ def test_the_pages_and_commands_serve_a_machine_without_a_stop(tmp_path: Path) -
     assert ask("rig", file, "--until", "3", "-o", tmp_path / "recording.csv").code == 0
     refused = ask("zeno-condition", file)
     assert refused.code == MISUSE
-    assert "`wheel` has no stop, so it has no Zeno point" in refused.err
+    assert "`wheel` lacks a stop, so no Zeno point exists" in refused.err

@@ -72,7 +72,7 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
         ("= -v", "= -max(v, 0)", 8, "`ca.fmax` for `max`"),
         ("= -v", "= -v * (q > 0 and v)", 8, "`ca.logic_and` for `and`"),
         ("= -v", "= -c * v", 8, "the name `c` is not defined. Define or import it, or write"),
-        ("= -v", "= -p.c * v", 8, 'a mapping has no attribute `c`. Write `p["c"]`'),
+        ("= -v", "= -p.c * v", 8, 'a mapping lacks the attribute `c`. Write `p["c"]`'),
         ("= -v", "= -ca.SX.sym('c') * v", 8, "the passive force holds the symbol `c`, which is"),
         ("= -v", "= -v * ca.floor(q)", 8, "a formula holds `floor` of the states, which jumps"),
         ("= -v", "= -v * (q == 1)", 8, "a formula holds `==` of the states, which jumps"),
@@ -91,14 +91,14 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
             *("passive_force=force", "passive_force=ca.vertcat(force, 0)", 10),
             "`passive_force` must have 1 entries, one per coordinate, but it has 2",
         ),
-        ("passive_force=force", "friction=force", 9, "no argument `friction`. Remove it. Known:"),
+        ("passive_force=force", "friction=force", 9, "does not take the argument `friction`. Remove it. Known:"),
         (
             *("gap=q", 'stops=(zo.Stop(name="a", gap=q, restitution=0.5),)', 12),
             "must be left out of `hybrid_system`: every stop has its own",
         ),
         ("hybrid_system", "hybrid_sytem", 12, "Did you mean `hybrid_system`?"),
         ("from_energies", "from_energy", 9, "Did you mean `from_energies`?"),
-        ('title="ball"', 'titel="ball"', 14, "has no argument `titel`. Did you mean `title`?"),
+        ('title="ball"', 'titel="ball"', 14, "does not take the argument `titel`. Did you mean `title`?"),
         ("model=model,", "", 14, "`Problem` lacks the argument `model`. Write `model=...`"),
         (
             "PROBLEM =",
@@ -161,7 +161,7 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
         ('source="own",', "", 14, "lacks the argument `source`. Write `source=...`."),
         (
             *('starts=({"q": 1.0},)', "gain=()", 14),
-            "`Problem` has no argument `gain`. Did you mean `gains`? Known: name, title",
+            "`Problem` does not take the argument `gain`. Did you mean `gains`? Known: name, title",
         ),
         (
             'title="ball", source="own",',

@@ -117,7 +117,7 @@ def to_sympy(expression: ca.SX, names: Mapping[str, str]) -> Any:
         if operation is None:
             raise InputError(
                 "Argument `problem`: its gap acceleration holds the operation "
-                f"`{operation_name(node.op())}`, which has no name in formulas."
+                f"`{operation_name(node.op())}`, which formulas do not name."
             )
         return operation(*(convert(node.dep(k)) for k in range(node.n_dep())))
 
@@ -135,7 +135,7 @@ def acceleration_formula(problem: Problem) -> Any:
     stops = 1 if system.graph is None else len(system.graph.stops)
     if stops == 0:
         raise InputError(
-            f"Argument `problem`: `{problem.name}` has no stop, so it has no Zeno point. Declare a "
+            f"Argument `problem`: `{problem.name}` lacks a stop, so no Zeno point exists. Declare a "
             "stop with `gap` or `stops`."
         )
     if stops > 1:

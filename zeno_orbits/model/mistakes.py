@@ -147,12 +147,12 @@ def _about_syntax(error: SyntaxError) -> str:
 def _about_python(error: BaseException, text: str) -> str:
     """Return the message about an exception of Python itself, with its remedy."""
     if isinstance(error, AttributeError) and isinstance(error.obj, dict):
-        return f'a mapping has no attribute `{error.name}`. Write `p["{error.name}"]`'
+        return f'a mapping lacks the attribute `{error.name}`. Write `p["{error.name}"]`'
     if isinstance(error, AttributeError) and error.name:
         owner = getattr(error.obj, "__name__", type(error.obj).__name__)
         known = [name for name in dir(error.obj) if not name.startswith("_")]
         near = did_you_mean(error.name, known) or " See its documentation."
-        return f"`{owner}` has no attribute `{error.name}`.{near}"
+        return f"`{owner}` lacks the attribute `{error.name}`.{near}"
     if isinstance(error, NameError) and error.name:
         return f"the name `{error.name}` is not defined. {_remedy_of_name(error.name)}"
     if isinstance(error, KeyError):
@@ -162,7 +162,7 @@ def _about_python(error: BaseException, text: str) -> str:
         module = sys.modules.get(error.name)
         if name is not None and module is not None:
             near = did_you_mean(name[1], dir(module)) or " See its documentation."
-            return f"`{error.name}` has no name `{name[1]}`.{near}"
+            return f"`{error.name}` lacks the name `{name[1]}`.{near}"
         return f"{text}. Install the package, or remove the import"
     if isinstance(error, SystemExit):
         return "the file ends the program (`sys.exit`). Remove the call"
@@ -204,7 +204,7 @@ def _about_arguments(owner: str, what: str, name: str, text: str) -> str:
     known = _arguments_of(owner)
     near = did_you_mean(name, known) or " Remove it."
     listed = f" Known: {', '.join(known)}" if known else ""
-    return f"`{owner}` has no argument `{name}`.{near}{listed}"
+    return f"`{owner}` does not take the argument `{name}`.{near}{listed}"
 
 
 def _arguments_of(owner: str) -> list[str]:

@@ -73,7 +73,7 @@ class ModeGraph:
             return "a root that is zero at its stop"
         if self.conditions:
             return "a kink of the state (`fmin`, `fmax`, `fabs`, `sign`, `if_else`, `atan2`)"
-        return "a stop with a name, of `stops` (a `gap` of its mechanism has none)"
+        return "a stop with a name, of `stops` (a `gap` of its mechanism is unnamed)"
 
     @property
     def n_watched(self) -> int:

@@ -136,7 +136,7 @@ def does_not_accumulate(most: int, time: float, state: Vector) -> ChatterError:
         state: State there, ``(n_x,)``.
     """
     return ChatterError(
-        f"More than {most} impacts came without a Zeno point (elastic impacts have none): "
+        f"More than {most} impacts came without a Zeno point (elastic impacts lack one): "
         "raise `most_impacts` (--max-impacts), or simulate a shorter time",
         time=time,
         state=tuple(state.tolist()),

@@ -336,7 +336,7 @@ class _Nodes:
                 rest = rest - dot(own[:n], y[1 : n + 1])
             return rest * self._inverses[node[2]]
         if name not in ("add", "sub"):
-            raise NotProved(f"the operation `{name}` has no polynomials")
+            raise NotProved(f"the operation `{name}` lacks polynomials")
         return x[n] + y[n] if name == "add" else x[n] - y[n]
 
 

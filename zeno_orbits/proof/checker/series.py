@@ -175,7 +175,7 @@ def function_at(name: str, u: Ball) -> Ball:
     the size of an exponential.
     """
     if u.size >> u.bits >= _LARGEST[name] or (name in ("log", "sqrt") and u.low <= 0):
-        raise NotProved(f"{name} of {u.shown()} has no bound")
+        raise NotProved(f"{name} of {u.shown()} is unbounded")
     if name == "tanh":
         power = function_at("exp", u + u)
         return (power - 1) / (power + 1)

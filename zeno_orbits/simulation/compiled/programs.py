@@ -32,7 +32,7 @@ def program_of_graph(graph: GraphDynamics) -> Program | GraphProgram | str:
     if not isinstance(graph, OneStop):
         return graph_program(graph.compiled)
     formulas = graph.first.formulas
-    return "it has no formulas" if formulas is None else program_or_reason(formulas.system)
+    return "it lacks formulas" if formulas is None else program_or_reason(formulas.system)
 
 
 _MOST_MODES = 256
