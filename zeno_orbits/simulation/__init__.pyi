@@ -46,7 +46,7 @@ from .signals import lows_inside as lows_inside
 from .signals import peaks as peaks
 from .signals import signal as signal
 from .signals import signal_names as signal_names
-from .derivatives.passages import ArcPassage as ArcPassage
+from .derivatives.walk import ArcPassage as ArcPassage
 from .derivatives.passages import EventDerivatives as EventDerivatives
 from .compiled.legs import LegFollower as LegFollower
 from .compiled.legs import states_after_steps as states_after_steps
