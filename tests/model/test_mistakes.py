@@ -91,14 +91,24 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
             *("passive_force=force", "passive_force=ca.vertcat(force, 0)", 10),
             "`passive_force` must have 1 entries, one per coordinate, but it has 2",
         ),
-        ("passive_force=force", "friction=force", 9, "does not take the argument `friction`. Remove it. Known:"),
+        (
+            "passive_force=force",
+            "friction=force",
+            9,
+            "take the argument `friction`. Remove it. Known:",
+        ),
         (
             *("gap=q", 'stops=(zo.Stop(name="a", gap=q, restitution=0.5),)', 12),
             "must be left out of `hybrid_system`: every stop has its own",
         ),
         ("hybrid_system", "hybrid_sytem", 12, "Did you mean `hybrid_system`?"),
         ("from_energies", "from_energy", 9, "Did you mean `from_energies`?"),
-        ('title="ball"', 'titel="ball"', 14, "does not take the argument `titel`. Did you mean `title`?"),
+        (
+            'title="ball"',
+            'titel="ball"',
+            14,
+            "take the argument `titel`. Did you mean `title`?",
+        ),
         ("model=model,", "", 14, "`Problem` lacks the argument `model`. Write `model=...`"),
         (
             "PROBLEM =",

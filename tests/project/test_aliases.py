@@ -49,7 +49,7 @@ def test_a_problem_file_with_a_removed_name_is_refused_with_its_successor(
     path.write_text(f"import zeno_orbits as zo\n\n{form.format(old)}\n")
     with pytest.raises(zo.InputError) as refused:
         zo.load_problem(path)
-    assert "line 3: `zeno_orbits` has no" in str(refused.value)
+    assert "line 3: `zeno_orbits` lacks" in str(refused.value)
     assert f"`{old}`. Did you mean `{new}`?" in str(refused.value)
 
 

@@ -135,8 +135,8 @@ def acceleration_formula(problem: Problem) -> Any:
     stops = 1 if system.graph is None else len(system.graph.stops)
     if stops == 0:
         raise InputError(
-            f"Argument `problem`: `{problem.name}` lacks a stop, so no Zeno point exists. Declare a "
-            "stop with `gap` or `stops`."
+            f"Argument `problem`: `{problem.name}` lacks a stop, so no Zeno point exists. Declare "
+            "a stop with `gap` or `stops`."
         )
     if stops > 1:
         raise InputError(

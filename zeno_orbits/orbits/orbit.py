@@ -163,7 +163,7 @@ class Orbit(TableRepr):
             InputError: If there is no event.
         """
         if not self.events:
-            raise InputError("Argument `orbit` must have an event, but its list of events is empty.")
+            raise InputError("Argument `orbit` must have an event, but its list is empty.")
         return self.events[-1].name
 
     @property
