@@ -119,7 +119,7 @@ def test_verify_refuses_a_changed_file() -> None:
     Path("hopper.json").write_text(json.dumps(data))
     answer = ask("verify", "hopper.json")
     assert answer.code == NO
-    assert answer.out.startswith("Refused: `events`")
+    assert answer.out.startswith("Refused: `first_impact`")
 
 
 @pytest.mark.slow

@@ -18,7 +18,6 @@ from zeno_orbits.model import (
     hybrid_system,
     load_problem,
     no_drive,
-    with_energy_ledger,
 )
 
 ROUNDING = 1e-15
@@ -120,17 +119,12 @@ def test_a_flow_that_blows_up_ends_in_a_named_error() -> None:
     assert starts[-1] == pytest.approx(1.0, rel=1e-11)
 
 
-def test_the_ledger_leaves_the_motion_alone() -> None:
+def test_powers_are_those_of_voltage_current_and_resistance() -> None:
     problem = load_problem("motor_pendulum")
-    values = problem.values().vector
-    plain = problem.dynamics(values)
-    ledger = problem.dynamics(values, with_energy_ledger(1.0))
-    state = np.array([0.4, 0.2, -1.0, 2.0, 0.5])
-    longer = np.append(state, [1.0, 2.0, 3.0])
-    assert ledger.free.rate(longer)[:5].tolist() == plain.free.rate(state).tolist()
-    assert ledger.reset_map(longer, -2.0)[5:].tolist() == [1.0, 2.0, 3.0]
+    graph = problem.graph_dynamics(problem.values())
+    state = np.array([[0.4, 0.2, -1.0, 2.0, 0.5]])
     # Voltage -Kp theta1 - Kd dtheta1 at R = 3 ohm.
-    work, copper, other = ledger.free.rate(longer)[5:]
+    ((work, copper, other),) = graph.powers(graph.open_mode, state)
     assert work == pytest.approx((-2.5 * 0.4 + 1.0 * -1.0) * 0.5)
     assert copper == pytest.approx(3.0 * 0.5**2)
     assert other == pytest.approx(0.0, abs=ROUNDING)

@@ -187,13 +187,9 @@ def _sections(problem: zo.Problem, found: Stability, state: np.ndarray, until: f
         parameters=found.parameters,
         start=dict(zip(names, state.tolist(), strict=True)),
     )
-    kind, _, stop = found.event.partition(" ")
-    after_zeno = [
-        event
-        for event in run.events
-        if orbit_event_name(event) == found.event
-        or (not stop and orbit_event_name(event).startswith(f"{kind} "))
-    ]
+    # A simulated machine with one stop does not name it.
+    names = (found.event, found.event.removesuffix(" stop"))
+    after_zeno = [event for event in run.events if orbit_event_name(event) in names]
     at = state_before if isinstance(after_zeno[0], SwitchEvent) else state_after
     return np.array([at(event) for event in after_zeno])
 

@@ -268,15 +268,15 @@ def test_false_orbits_are_refused_with_the_residual_that_explains_it() -> None:
     start = {**orbit.start_state, "dq1": orbit.start_state["dq1"] * (1 + 1e-6)}
     assert "closure" in zo.verify(replace(orbit, start_state=start)).failed
     late = _moved(orbit, 0, time=orbit.events[0].time + 1e-6)
-    assert zo.verify(late).failed[0] == "events"
+    assert zo.verify(late).failed[0] == "first_impact"
     other = _moved(orbit, 0, state={**orbit.events[0].state, "q1": 0.0})
-    assert zo.verify(other).failed[0] == "events"
+    assert zo.verify(other).failed[0] == "first_impact"
     longer = replace(orbit, period=orbit.period * (1 + 1e-7))
     assert "period" in zo.verify(longer).failed
     fewer = replace(orbit, events=orbit.events[1:])
-    assert zo.verify(fewer).failed[0] == "events"
+    assert zo.verify(fewer).failed[0] == "first_impact"
     stiffer = replace(orbit, parameters={**orbit.parameters, "restitution": 0.21})
-    assert zo.verify(stiffer).failed[0] == "events"
+    assert zo.verify(stiffer).failed[0] == "impact_sequence"
 
 
 @pytest.mark.parametrize(

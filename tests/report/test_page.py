@@ -422,7 +422,7 @@ def test_an_orbit_that_cannot_be_followed_gets_a_page_without_pictures(
     def fail(*_: object, **__: object) -> NoReturn:
         raise StepSizeError("The step size fell to nothing", time=0.5, state=(0.0,))
 
-    monkeypatch.setattr("zeno_orbits.orbits.period.simulate", fail)
+    monkeypatch.setattr("zeno_orbits.verification.integration.simulate", fail)
     monkeypatch.setattr("zeno_orbits.report.motion.simulate", fail)
     code, _, _ = ask("report", orbit_file, "-o", "report.html", *ONE)
     assert code == NO

@@ -271,6 +271,8 @@ def test_every_cell_of_margins_and_energies(page: str, subject: Subject) -> None
         "first_impact_speed": "rad/s",
         "release_transversality": "N m/s",
         "locked_time": "s",
+        "later_impact_speed": "1",
+        "events_apart": "s",
     }
     assert dict(zip(found["name"], found["unit"], strict=True)) == units
     assert near(found["value"], [margins[name] for name in found["name"]], 6)

@@ -25,6 +25,7 @@ GOOD = OrbitCertificate(
     period=1.8,
     n_periods=3,
     model="derived",
+    shape="zeno",
 )
 
 
@@ -182,7 +183,7 @@ def test_a_verdict_names_the_shape_that_is_not_the_usual_one(shape: str, named: 
 )
 def test_impacts_accumulate_if_a_bounce_takes_time(bounce_time: float, named: str) -> None:
     ranges = {"a.bounce_time": (0.0, 0.0), "b.bounce_time": (bounce_time, bounce_time)}
-    seen = replace(GOOD, events=("zeno a", "zeno b"), quantities=ranges)
+    seen = replace(GOOD, shape="", events=("zeno a", "zeno b"), quantities=ranges)
     assert f"{named} periodic orbit (events: zeno a, zeno b);" in seen.verdict()
 
 
@@ -289,7 +290,7 @@ def test_an_orbit_that_starts_after_an_impact_has_an_error_by_its_own_residuals(
     assert math.isinf(replace(few, residuals=without).orbit_error)
 
 
-@pytest.mark.parametrize("name", ["first_impact", "impact_sequence", "closure", "period"])
+@pytest.mark.parametrize("name", ["closure", "period"])
 def test_a_residual_that_every_orbit_has_leaves_no_error_where_it_lacks(name: str) -> None:
     few = {key: size for key, size in GOOD.residuals.items() if key != name}
     assert math.isinf(replace(GOOD, residuals=few).orbit_error)

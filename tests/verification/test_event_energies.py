@@ -101,6 +101,69 @@ def test_a_false_loss_is_refused() -> None:
     assert max(others.values()) < certificate.tolerance
 
 
+# Energy of further states, which contact changes.
+
+
+def _echo(share: float) -> zo.Problem:
+    """Return a ball on a table, and a state that follows its speed and decays, with an energy.
+
+    In flight ``z' = a - c z`` with the acceleration ``a`` of the ball, and an impact changes `z` as
+    the speed. In contact the force of the stop changes it, too: ``z' = -c z``.
+    """
+    bundled, k, c = zo.load_problem("vibrating_table"), 0.02, 3.0
+
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        height, speed, z = (ca.SX.sym(name) for name in ("height", "speed", "z"))
+        clock = zo.Clock.at(p["omega"])
+        push = p["A"] * p["omega"] ** 2 * clock.sine
+        ball = zo.HybridLagrangian.from_energies(
+            q=height,
+            v=speed,
+            kinetic=p["m"] * speed**2 / 2,
+            potential=p["m"] * p["g"] * height,
+            gap=height,
+            applied_force=p["m"] * push,
+            clock=clock,
+        )
+        echo = zo.Auxiliary(
+            states=z,
+            rate=push - p["g"] - c * z,
+            after_impact=z - (1 + p["restitution"]) * speed,
+            force=0 * speed,
+            input_power=k * z * (push - p["g"]),
+            loss=share * k * c * z**2,
+            stored_energy=k * z**2 / 2,
+        )
+        return zo.hybrid_system(ball, echo, p["restitution"])
+
+    return replace(
+        bundled,
+        name="echo",
+        model=model,
+        state_names=("height", "speed", "z", "cosine", "sine"),
+        state_units=("m", "m/s", "m/s", "1", "1"),
+        outputs=(),
+        drawing=None,
+    )
+
+
+def test_contact_adds_to_the_energy_of_the_states_that_it_changes() -> None:
+    found = zo.find_event_orbit(_echo(1.0))
+    certificate = zo.verify(found, problem=_echo(1.0))
+    assert certificate.passed, certificate.verdict()
+    # The error of the tail's work falls with the cube of its first speed.
+    assert certificate.residuals["energy_balance"] < 1e-10
+    lost, m, k, e = 0.0, 0.05, 0.02, 0.3
+    for event in found.events:
+        if event.word == "impact":
+            speed, z = event.state["speed"], event.state["z"]
+            lost += (1 - e**2) / 2 * m * speed**2 - k / 2 * ((z - (1 + e) * speed) ** 2 - z**2)
+    # The impacts after the last one lose next to nothing.
+    assert certificate.energies["impact_loss"] == pytest.approx(lost, rel=1e-5)
+    false = zo.verify(found, problem=_echo(1 - 1e-5))
+    assert false.failed == ("energy_balance",)
+
+
 # Impacts that open other stops.
 
 IMPULSES = [

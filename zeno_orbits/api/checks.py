@@ -49,20 +49,11 @@ def verify(
         InputError: If the orbit's problem is not known, or the orbit does not fit the problem.
         OrbitFileError: If the file is not an orbit file.
     """
-    from zeno_orbits.model import GraphDynamics, HybridDynamics
-    from zeno_orbits.verification import verifier, verify_events
+    from zeno_orbits.verification import verifier
 
     orbit = any_orbit(orbit)
     known = problem_to_check(orbit, problem)
-    if orbit.has_phases and not isinstance(dynamics, GraphDynamics):
-        return verifier.verify(
-            orbit, known, settings=settings, dynamics=dynamics, on_progress=on_progress
-        )
-    if orbit.has_phases or isinstance(dynamics, HybridDynamics):
-        makes = "dynamics" if orbit.has_phases else "graph_dynamics"
-        message = f"must come from `Problem.{makes}` for this orbit"
-        raise InputError(f"Argument `dynamics` {message}.")
-    return verify_events(
+    return verifier.verify(
         orbit, known, settings=settings, dynamics=dynamics, on_progress=on_progress
     )
 
@@ -219,10 +210,8 @@ def floquet_multipliers(orbit: Orbit | str | Path, *, problem: Named | None = No
         SimulationError: If the simulation does not return to the orbit.
     """
     from zeno_orbits.orbits import stability_of
-    from zeno_orbits.verification import multipliers_of, multipliers_of_events
+    from zeno_orbits.verification import multipliers_of
 
     orbit = any_orbit(orbit)
     used = problem_of(orbit, problem)
-    is_event = not orbit.has_phases
-    found = multipliers_of_events(orbit, used) if is_event else multipliers_of(orbit, used)
-    return stability_of(used, orbit, found)
+    return stability_of(used, orbit, multipliers_of(orbit, used))

@@ -212,7 +212,7 @@ def find_event_orbit(
         SimulationError: If no motion settles to an orbit.
     """
     from zeno_orbits.search import settled_event_orbit as find
-    from zeno_orbits.verification import verify_events, with_certificate
+    from zeno_orbits.verification import verify, with_certificate
 
     known = known_problem(problem)
     begin = None if near is None else _near_events(near, known)
@@ -226,7 +226,7 @@ def find_event_orbit(
         simulation=settings,
         on_progress=on_progress,
     )
-    return with_certificate(orbit, verify_events(orbit, known, on_progress=on_progress))
+    return with_certificate(orbit, verify(orbit, known, on_progress=on_progress))
 
 
 @front_door
@@ -382,13 +382,10 @@ class Verified:
     def __call__(self, orbit: Orbit) -> Any:
         """Return the certificate of an orbit and the reason against accepting it, if any."""
         from zeno_orbits.search import Verdict
-        from zeno_orbits.verification import verifier, verify_events
+        from zeno_orbits.verification import verifier
 
         known = self.problem if isinstance(self.problem, Problem) else self.problem.load()
-        if not orbit.has_phases:
-            certificate = verify_events(orbit, known, settings=self.settings)
-        else:
-            certificate = verifier.verify(orbit, known, settings=self.settings)
+        certificate = verifier.verify(orbit, known, settings=self.settings)
         objection = ""
         if not certificate.passed:
             objection = certificate.verdict()

@@ -18,7 +18,6 @@ from .formulas import six_digits as six_digits
 from .formulas import with_numbers as with_numbers
 from .hybrid import CompletedSystem as CompletedSystem
 from .hybrid import accelerate as accelerate
-from .hybrid import with_energy_ledger as with_energy_ledger
 from .graph import hybrid_system as hybrid_system
 from .graph import graph_of_one_stop as graph_of_one_stop
 from .graph import system_of_stop as system_of_stop

@@ -7,9 +7,8 @@ gains and restitution among them. Source: [OrAmes2011]_, paper eqs (5)-(8), theo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
 from typing import cast
 
 import casadi as ca
@@ -238,42 +237,6 @@ def _state_change(
                 "An impact at zero speed then changes nothing."
             )
     return -slope / law.rate_drop(ca.SX(1))
-
-
-def audited(system: CompletedSystem) -> CompletedSystem:
-    """Append the energy ledger to the state: work in, copper loss and other losses since the start.
-
-    The three ledger states [J] do not affect the motion, and an impact does not change them. The
-    energy that contact adds to additional states is a negative loss.
-    """
-    return _with_ledger(system, 1.0)
-
-
-@lru_cache(maxsize=16)
-def with_energy_ledger(unit: float) -> Callable[[CompletedSystem], CompletedSystem]:
-    """Return the function `audited` for a ledger in another unit, cached by unit.
-
-    Args:
-        unit: Unit of energy [J]. In units of its size the ledger is integrated to that accuracy.
-    """
-    return audited if unit == 1.0 else partial(_with_ledger, unit=unit)
-
-
-def _with_ledger(system: CompletedSystem, unit: float) -> CompletedSystem:
-    ledger = ca.SX.sym("ledger", 3)
-    powers = ca.vertcat(system.input_power, system.copper_loss, system.other_loss) / unit
-    # A contact that changes further states adds to their energy, as impacts do.
-    first = 2 * system.n_q
-    added = (system.locked_flow - system.free_flow)[first:]
-    stored = ca.jtimes(system.energy, system.state[first:], added) if added.numel() else ca.SX(0)
-    in_contact = powers - ca.vertcat(0, 0, stored) / unit
-    return replace(
-        system,
-        state=ca.vertcat(system.state, ledger),
-        free_flow=ca.vertcat(system.free_flow, powers),
-        locked_flow=ca.vertcat(system.locked_flow, in_contact),
-        impulse_direction=ca.vertcat(system.impulse_direction, ca.SX.zeros(3)),
-    )
 
 
 def accelerate(lagrangian: HybridLagrangian, force: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -56,8 +56,6 @@ if TYPE_CHECKING:
     from zeno_orbits.model.numeric.graph_dynamics import CompiledGraph, GraphDynamics
     from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 
-Transform = Callable[[CompletedSystem], CompletedSystem]
-"""A change of a completed system, ``hybrid.audited`` for instance: a function of a module."""
 
 _IMPULSES = {"m": "N s", "rad": "N m s"}
 """Unit of a coordinate to the unit of an impulse along it."""
@@ -146,27 +144,20 @@ class Problem(Declared):
             if name not in self.state_names:
                 raise InputError(unknown("escapes", name, self.state_names))
 
-    def compiled(self, transform: Transform | None = None) -> CompiledSystem:
-        """Return the model as functions of the state and the parameter vector, built once.
+    def compiled(self) -> CompiledSystem:
+        """Return the model as functions of the state and the parameter vector, built once."""
+        return _compiled(self)
 
-        Args:
-            transform: A change of the completed system before compilation. It may append states.
-        """
-        return _compiled(self, transform)
-
-    def dynamics(
-        self, values: ParameterValues | Sequence[float] | Vector, transform: Transform | None = None
-    ) -> HybridDynamics:
+    def dynamics(self, values: ParameterValues | Sequence[float] | Vector) -> HybridDynamics:
         """Return the flows, guards and resets of the model at given parameter values.
 
         Args:
             values: Values of every gain and parameter, or the parameter vector, ``(n_p,)``.
-            transform: A change of the completed system before compilation. It may append states.
         """
         from zeno_orbits.model.numeric.binding import bind
 
         vector = values.vector if isinstance(values, ParameterValues) else values
-        return bind(_compiled(self, transform), vector)
+        return bind(_compiled(self), vector)
 
     def require_zeno_points(self, values: ParameterValues) -> None:
         """Refuse elastic impacts on the first stop, for what needs a Zeno point.
@@ -735,13 +726,13 @@ def _compiled_graph(problem: Problem) -> CompiledGraph:
         graph=system.graph or graph_of_one_stop(system),
         symbols=symbols,
         state_names=problem.state_names,
-        starts=partial(_starts_at, problem, 0),
+        starts=partial(_starts_at, problem),
         state_units=problem.state_units,
     )
 
 
 @lru_cache(maxsize=_MOST)
-def _compiled(problem: Problem, transform: Transform | None) -> CompiledSystem:
+def _compiled(problem: Problem) -> CompiledSystem:
     """Return the functions of a problem, shared by all parameter values.
 
     Building them takes as long as the simulation of a period. A problem is immutable, and its
@@ -752,20 +743,13 @@ def _compiled(problem: Problem, transform: Transform | None) -> CompiledSystem:
     system, symbols = _built(problem)
     if system.graph is not None:
         raise _needs_one_stop(problem, system.graph)
-    names = problem.state_names
-    if transform is not None:
-        system = transform(system)
-        extra = system.state.numel() - len(names)
-        names = (*names, *(f"ledger{k}" for k in range(extra)))
-    compiled = compile_system(system, symbols, names)
-    starts = partial(_starts_at, problem, len(names) - len(problem.state_names))
+    compiled = compile_system(system, symbols, problem.state_names)
+    starts = partial(_starts_at, problem)
     return replace(compiled, starts=starts, state_units=problem.state_units)
 
 
-def _starts_at(
-    problem: Problem, n_more: int, p: Sequence[float] | Vector
-) -> tuple[tuple[float, ...], ...]:
-    """Return the initial states at a parameter vector, each ``(n_x,)`` with zeros after it.
+def _starts_at(problem: Problem, p: Sequence[float] | Vector) -> tuple[tuple[float, ...], ...]:
+    """Return the initial states at a parameter vector, each ``(n_x,)``.
 
     Where a formula fails, no motion starts. Then the scales are those at the defaults.
     """
@@ -778,7 +762,7 @@ def _starts_at(
         states = [problem.state_vector(start, values) for start in problem.starts]
     except InputError:
         states = [problem.state_vector(start) for start in problem.starts]
-    return tuple((*state, *(0.0,) * n_more) for state in states)
+    return tuple(map(tuple, states))
 
 
 def _require_states(problem: Problem) -> None:

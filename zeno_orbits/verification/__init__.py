@@ -3,8 +3,9 @@
 The problem is rebuilt from the orbit's gains and parameters and integrated forward. The result is
 compared with the data of the orbit. The verification is independent of the method that found the
 orbit. The modules in the order of execution are `claim` (the orbit as vectors), `integration`,
-`residuals`, `cross_checks` (truncations, energies, a second model) and `certificate`. `verifier`
-combines them. `measurement` computes the range of a quantity along an orbit.
+`residuals`, `second_net` (sampled guards), `energies`, `cross_checks` (truncations, a second
+model), `margins`, `multipliers` and `certificate`. `verifier` combines them. `measurement`
+computes the range of a quantity along an orbit.
 
 Offers: `verify`, `multipliers_of`, `VerificationSettings`, `OrbitCertificate`, `CHECKS`,
 `RESIDUALS`, `with_certificate`, `problem_dynamics`; `measure`, `require_quantities`.

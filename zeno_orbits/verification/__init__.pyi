@@ -2,11 +2,9 @@ from .certificate import CHECKS as CHECKS
 from .certificate import DeltaCut as DeltaCut
 from .certificate import OrbitCertificate as OrbitCertificate
 from .certificate import RESIDUALS as RESIDUALS
-from .event_margins import EVENT_MARGINS as EVENT_MARGINS
-from .event_margins import SHARE as SHARE
-from .event_margins import measured_margin as measured_margin
-from .event_verifier import multipliers_of_events as multipliers_of_events
-from .event_verifier import verify_events as verify_events
+from .margins import EVENT_MARGINS as EVENT_MARGINS
+from .margins import SHARE as SHARE
+from .margins import measured_margin as measured_margin
 from .measurement import measure as measure
 from .measurement import require_quantities as require_quantities
 from .verifier import VerificationSettings as VerificationSettings

@@ -9,7 +9,6 @@ from typing import Any
 
 from zeno_orbits.orbits import (
     NO_ZENO_ORBIT,
-    ONE_ZENO,
     SIMPLE_ORBIT,
     ZENO_ORBIT,
     EventSequence,
@@ -39,9 +38,9 @@ CHECKS: Mapping[str, Check] = {
         plainly="The motion starts at a release.",
     ),
     "start": Check(
-        law="the period starts just after an impact",
-        failure="the period does not start just after an impact",
-        plainly="The motion starts just after an impact.",
+        law="the period starts just after its last event",
+        failure="the period does not start just after its last event",
+        plainly="The motion starts just after an event.",
     ),
     "first_impact": Check(
         law="the first impact has the time and state of the orbit",
@@ -64,9 +63,9 @@ CHECKS: Mapping[str, Check] = {
         plainly="Each impact dissipates the predicted energy.",
     ),
     "events": Check(
-        law="every event has the time and state of the orbit",
-        failure="an event differs from the orbit in time or state",
-        plainly="Every event has the time and state of the file.",
+        law="the event sequence and the switches are those of the orbit",
+        failure="the event sequence or a switch differs from the orbit",
+        plainly="The events are those of the file, in its order.",
     ),
     "impulses": Check(
         law="no closed stop pulls in an impact",
@@ -79,8 +78,8 @@ CHECKS: Mapping[str, Check] = {
         plainly="The impacts accumulate at the time and state of the file.",
     ),
     "phases": Check(
-        law="the other phases start at the times and states of the orbit",
-        failure="the start of a later phase differs from the orbit in time or state",
+        law="the other flights start at the times and states of the orbit",
+        failure="the start of a later flight differs from the orbit in time or state",
         plainly="Later flights start at the times and states of the file.",
     ),
     "delta_sweep": Check(
@@ -154,12 +153,12 @@ RESIDUALS: Mapping[str, str] = {name: check.law for name, check in CHECKS.items(
 """Statement by residual that is true if the residual is zero, in causal order."""
 
 
-_MISSES = ("first_impact", "impact_sequence", "closure", "period")
-"""Residuals that compare the orbit's data with an integration, for every shape."""
-_EVENT_MISSES = ("events", "closure", "period")
-"""The same for an orbit given by its events."""
-_MISSES_IF_ANY = ("release", "start", "zeno_point", "phases")
-"""Such residuals that only some shapes have. Every shape has one of the first two."""
+_MISSES = ("closure", "period")
+"""Residuals that compare the orbit's data with an integration, for every orbit."""
+_STARTS = ("release", "start")
+"""The same, of which every orbit has one."""
+_MISSES_IF_ANY = ("first_impact", "impact_sequence", "events", "zeno_point", "phases")
+"""Such residuals that orbits have by their events."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,13 +188,15 @@ class OrbitCertificate(TableRepr):
         tolerance: Largest residual that passes.
         residuals: Relative size by name, zero for a true orbit. The names are keys of
             ``RESIDUALS``. A size is infinite if the integration ended earlier.
-        margins: Distance to loss of existence by name: ``gap_acceleration`` (minus d2h/dt2 at the
-            Zeno point), ``first_impact_speed``, ``release_transversality`` (minus the rate of the
-            multiplier at the release) and ``locked_time``, each the least over the phases that have
-            it. ``lets_go`` is d2h/dt2 after a plastic impact with immediate release.
+        margins: Distance to the loss of an event by name, each the least over the period:
+            ``gap_acceleration`` (minus d2h/dt2 at a Zeno point), ``first_impact_speed``,
+            ``later_impact_speed`` (relative to the speed after the impact before it),
+            ``release_transversality`` (minus the rate of the multiplier), ``switch_transversality``
+            (minus the rate of the guard), ``locked_time``, ``lets_go`` (d2h/dt2 after a plastic
+            impact with immediate release) and ``events_apart`` (time between events).
             ``phases_apart`` is the relative distance of the period from several shorter periods.
         energies: Energy over one period by name [J]: ``input_work``, ``copper_loss``,
-            ``other_loss``, ``impact_loss``, ``energy_gain``.
+            ``other_loss``, ``impact_loss``, ``energy_gain``, and ``switch_loss`` with switches.
         multipliers: Floquet multipliers. Empty if the section is a point, or if they could not be
             computed. In the second case their error is infinite.
         multiplier_error: Estimated error of the largest multiplier.
@@ -210,12 +211,11 @@ class OrbitCertificate(TableRepr):
         model: The derivation that was integrated, ``derived`` or ``reference``.
         trouble: Clauses on other failures: the reason why the integration stopped early, an escape
             that was passed, or a false statement in the orbit's data. Empty without failures.
-        shape: Claimed shape of the orbit, as text.
+        shape: Claimed shape of an orbit that has one, as text. Else empty.
         asked: Requested bounds of the search, with the measured ranges.
         open_balance: True if a force acts whose powers are not specified by the problem, so that
             the energy balance cannot be checked.
-        events: Event sequence of an orbit given by its events, otherwise empty. Such an orbit has
-            no `shape`. Its energies have ``switch_loss`` if it has switches.
+        events: Event sequence of the orbit.
         quantities: Range of each quantity of its events over one period, by name.
     """
 
@@ -233,7 +233,7 @@ class OrbitCertificate(TableRepr):
     n_periods: int
     model: str
     trouble: str = ""
-    shape: str = ONE_ZENO.text
+    shape: str = ""
     asked: tuple[Mapping[str, Any], ...] = ()
     open_balance: bool = False
     events: tuple[str, ...] = ()
@@ -295,8 +295,8 @@ class OrbitCertificate(TableRepr):
 
     @property
     def _kind(self) -> str:
-        shape = EventSequence.parsed(self.shape)
-        if self.events:
+        shape = EventSequence.parsed(self.shape) if self.shape else None
+        if shape is None:
             what = f"{self._kind_of_events} (events: {', '.join(self.events)})"
         elif not shape.has_one_release:
             what = f"{shape.kind} (shape {shape.text})"
@@ -323,10 +323,10 @@ class OrbitCertificate(TableRepr):
         with the multiplier :math:`\mu`. The error is infinite if the return or the multipliers
         could not be computed.
         """
-        names = _EVENT_MISSES if self.events else _MISSES
-        misses = [self.residuals.get(name, math.inf) for name in names]
-        known = [self.residuals[name] for name in _MISSES_IF_ANY if name in self.residuals]
-        misses += known if known or self.events else [math.inf]
+        misses = [self.residuals.get(name, math.inf) for name in _MISSES]
+        misses += [self.residuals[name] for name in _MISSES_IF_ANY if name in self.residuals]
+        starts = [self.residuals[name] for name in _STARTS if name in self.residuals]
+        misses += starts or [math.inf]
         if not all(map(math.isfinite, (*misses, self.integration_error, self.multiplier_error))):
             return math.inf
         # The Zeno point and the period have their own errors, however stable the orbit is.
@@ -374,7 +374,8 @@ class OrbitCertificate(TableRepr):
             "zeno_error": _number(self.zeno_error),
             "period": _number(self.period),
             "n_periods": self.n_periods,
-            **({"events": list(self.events)} if self.events else {"shape": self.shape}),
+            **({"shape": self.shape} if self.shape else {}),
+            **({"events": list(self.events)} if self.events else {}),
             "model": self.model,
             "trouble": self.trouble,
             "asked": [dict(one) for one in self.asked],

@@ -9,25 +9,57 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, finite_number
-from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventSequence, Orbit, OrbitImpact, OrbitPhase, PhaseKind
+from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem
+from zeno_orbits.orbits import Orbit, OrbitEvent
+
+_OPENED = 1e-6
+"""Gap rate at which a stop has been opened, in the characteristic scale."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClaimedPhase:
-    """A phase of an orbit, as vectors.
+class ClaimedEvent:
+    """An event of an orbit, as vectors.
 
     Attributes:
-        start_time: Time of the start [s].
-        start: State at the start, ``(n_x,)``.
-        impacts: Time [s] of every resolved impact and the state before it, ``(n_x,)``.
-        zeno: Zeno time [s] and state, ``(n_x,)``, if contact follows.
+        name: Its name.
+        time: Its time since the start of the period [s].
+        state: State just before it, ``(n_x,)``.
+        after: State just after it, ``(n_x,)``, if the orbit states it.
     """
 
-    start_time: float
-    start: Vector
-    impacts: tuple[tuple[float, Vector], ...]
-    zeno: tuple[float, Vector] | None
+    name: str
+    time: float
+    state: Vector
+    after: Vector | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contact:
+    """A stop that the orbit touches at the start of its period.
+
+    Attributes:
+        stop: Its index.
+        view: Its system, in which the other closed stops are constraints.
+        rests: Whether its gap rate is zero, too.
+        released: Whether its multiplier is zero, too.
+    """
+
+    stop: int
+    view: HybridDynamics
+    rests: bool
+    released: bool
+
+    def placed(self, x: Vector) -> Vector:
+        """Return the state moved onto the stop, to rounding, ``(n_x,)``.
+
+        Args:
+            x: A state near it, ``(n_x,)``.
+        """
+        if self.rests:
+            return self.view.on_stop(x)
+        n_q, x = self.view.n_q, x.copy()
+        x[:n_q] -= self.view.gap(x) * self.view.impulse_direction(x)[n_q : 2 * n_q]
+        return x
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,95 +67,116 @@ class Claim:
     """An orbit, as vectors.
 
     Attributes:
-        shape: Its shape.
+        sequence: Its event sequence.
+        section: Name of the event at which the period starts and ends.
+        n_returns: Number of such events in a period.
         period: Period [s].
-        phases: Its phases.
-        end: Time [s] of the last event and the state before it, ``(n_x,)``.
+        start: State at the start of the period, ``(n_x,)``.
+        events: Its events.
     """
 
-    shape: EventSequence
+    sequence: tuple[str, ...]
+    section: str
+    n_returns: int
     period: float
-    phases: tuple[ClaimedPhase, ...]
-    end: tuple[float, Vector]
+    start: Vector
+    events: tuple[ClaimedEvent, ...]
+
+    def count(self, kind: str) -> int:
+        """Return the number of events of a kind.
+
+        Args:
+            kind: Name of the kind, such as ``impact``.
+        """
+        return sum(event.name.startswith(f"{kind} ") for event in self.events)
 
     @property
-    def start(self) -> Vector:
-        """Start of the period, ``(n_x,)``."""
-        return self.phases[0].start
+    def starts_at_release(self) -> bool:
+        """True if the period starts where a multiplier falls through zero.
+
+        The multiplier is not zero at a release that another event causes.
+        """
+        *earlier, last = self.events
+        is_caused = any(event.time == last.time for event in earlier)
+        return self.section.startswith("release ") and not is_caused
+
+    def contacts(self, graph: GraphDynamics) -> list[Contact]:
+        """Return the stops that the orbit touches at the start of its period.
+
+        A stop is closed if its last event is a Zeno point. The event of the section leaves another.
+
+        Args:
+            graph: The graph of modes.
+        """
+        last = {event.name.partition(" ")[2]: event.name for event in self.events}
+        zenos = {stop for stop, name in last.items() if name == f"zeno {stop}"}
+        kind, _, left = self.section.partition(" ")
+        closed = [k for k, name in enumerate(graph.stop_names) if name in zenos]
+        sides = graph.sides_at(self.start, graph.open_mode[1])
+        found: list[Contact] = []
+        for k, name in enumerate(graph.stop_names):
+            leaves = name == left and kind in ("impact", "release")
+            if not leaves and k not in closed:
+                continue
+            view = graph.view((tuple(j for j in closed if j != k), sides), k)
+            released = leaves and self.starts_at_release
+            plastic = kind == "impact" and view.restitution == 0.0
+            # An impact or a switch may open other stops.
+            jumps = kind in ("impact", "switch")
+            opened = jumps and abs(view.gap_rate(self.start)) > _OPENED * view.own.gap_rate
+            rests = (released or plastic) if leaves else not opened
+            found.append(Contact(stop=k, view=view, rests=rests, released=released))
+        return found
 
 
 def claim_of(orbit: Orbit, problem: Problem) -> Claim:
     """Return an orbit's data as vectors.
 
     Raises:
-        InputError: If the orbit belongs to another problem, its names differ from the problem's, or
-            a time is not finite.
+        InputError: If the orbit belongs to another problem, its names differ from the problem's, a
+            time is not finite, or a Zeno point lacks its impacts.
     """
     if orbit.problem != problem.name:
         message = (
             f"Argument `orbit` must be of problem `{problem.name}`, but it is of `{orbit.problem}`."
         )
         raise InputError(message)
-    for k, phase in enumerate(orbit.phases):
-        _require_impacts(phase, "" if len(orbit.phases) == 1 else f" in phase {k + 1}")
-    require_values(orbit, problem)
-
-    def vector(named: Mapping[str, float], where: str) -> Vector:
-        _require_same(named, problem.state_names, f"must have all states in `{where}`")
-        return np.array(problem.state_vector(named))
-
-    def hit(impact: OrbitImpact) -> tuple[float, Vector]:
-        return finite_number("time", impact.time), vector(impact.state_minus, "impacts")
-
-    one, last = orbit.shape.has_one_release, orbit.events[-1]
-    return Claim(
-        shape=orbit.shape,
-        period=finite_number("period", orbit.period),
-        phases=tuple(
-            ClaimedPhase(
-                start_time=finite_number("start_time", phase.start_time),
-                start=vector(phase.start_state, "release_state" if one else "start_state"),
-                impacts=tuple(map(hit, phase.impacts)),
-                zeno=None
-                if phase.zeno_time is None or phase.zeno_state is None
-                else (
-                    finite_number("zeno_time", phase.zeno_time),
-                    vector(phase.zeno_state, "zeno_state"),
-                ),
-            )
-            for phase in orbit.phases
-        ),
-        end=(finite_number("period", last.time), vector(last.state, "events")),
-    )
-
-
-def require_values(orbit: Orbit, problem: Problem) -> None:
-    """Reject an orbit that lacks a value of its problem, or has another.
-
-    Args:
-        orbit: The orbit.
-        problem: Its problem.
-
-    Raises:
-        InputError: If its gains or parameters have other names.
-    """
     for name, values, known in (
         ("gains", orbit.gains, [gain.name for gain in problem.gains]),
         ("parameters", orbit.parameters, [quantity.name for quantity in problem.parameters]),
     ):
         _require_same(values, known, f"must have the {name} of its problem")
+    if orbit.phases_as is not None:
+        _ = orbit.phases  # Events that do not form them are refused.
+    names = {event.name for event in orbit.events}
+    for name in sorted(names):
+        kind, _, stop = name.partition(" ")
+        if kind == "zeno" and f"impact {stop}" not in names:
+            raise InputError(f"Argument `orbit` lacks an impact on `{stop}` before its Zeno point.")
+
+    def vector(named: Mapping[str, float], where: str) -> Vector:
+        _require_same(named, problem.state_names, f"must have all states in `{where}`")
+        return np.array(problem.state_vector(named))
+
+    def event_of(event: OrbitEvent) -> ClaimedEvent:
+        return ClaimedEvent(
+            name=event.name,
+            time=finite_number("time", event.time),
+            state=vector(event.state, event.name),
+            after=None if event.after is None else vector(event.after, event.name),
+        )
+
+    return Claim(
+        section=orbit.section,
+        sequence=orbit.sequence,
+        n_returns=orbit.n_returns,
+        period=finite_number("period", orbit.period),
+        start=vector(orbit.start_state, "start_state"),
+        events=tuple(map(event_of, orbit.events)),
+    )
 
 
 def _require_same(names: Iterable[str], known: Iterable[str], wanted: str) -> None:
     odd = ", ".join(sorted(set(names) ^ set(known)))
     if odd:
         raise InputError(f"Argument `orbit` {wanted}, but these differ: {odd}.")
-
-
-def _require_impacts(phase: OrbitPhase, where: str) -> None:
-    """Reject a phase without an impact, or with several impacts if the first ends the phase."""
-    if not phase.impacts:
-        raise InputError(f"Argument `orbit` lacks an impact{where}.")
-    if phase.kind is not PhaseKind.ZENO and len(phase.impacts) > 1:
-        wanted = f"must have one impact{where}, which is `{phase.kind.value}`"
-        raise InputError(f"Argument `orbit` {wanted}, but it has {len(phase.impacts)}.")

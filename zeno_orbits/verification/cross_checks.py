@@ -1,29 +1,28 @@
-"""Checks of an orbit by further integrations: truncations, energies, a second model."""
+"""Checks of an orbit by other means: truncated impact sequences, and a second model."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, with_energy_ledger
-from zeno_orbits.orbits import Cycle, Orbit, place_on_section
+from zeno_orbits.model import GraphDynamics, HybridDynamics
+from zeno_orbits.orbits import orbit_event_name, phases_of_events
 from zeno_orbits.simulation import (
     Arc,
     Impact,
     SimulationSettings,
     Truncation,
-    ZenoPassage,
+    ZenoPoint,
     simulate,
 )
 from zeno_orbits.verification.certificate import DeltaCut
-from zeno_orbits.verification.claim import Claim
-from zeno_orbits.verification.integration import distance
-from zeno_orbits.verification.residuals import lawful_impact
+from zeno_orbits.verification.energies import struck_view
+from zeno_orbits.verification.integration import Period, distance
 
 _FINEST_CUT = 1e-9
 """Smallest threshold of a sweep, relative to the first impact speed."""
@@ -31,8 +30,8 @@ _FINEST_CUT = 1e-9
 _FALL = 2.0
 """Least factor by which the error must decrease for a finer truncation. It is 1000 in theory."""
 
-_LATER = 1.001
-"""Factor on the period by which an integration may take longer, because of its error."""
+_STATES = 41
+"""Times of a period at which two derivations of the model are compared, beside the events."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,8 +54,29 @@ class Accumulation:
         return next(slow, self.impacts[-1])
 
 
+def accumulations_of(
+    graph: GraphDynamics, period: Period, arcs: Sequence[Arc]
+) -> Iterator[Accumulation]:
+    """Yield the impacts of a period that accumulate and are followed by contact.
+
+    Args:
+        graph: The graph of modes.
+        period: The period.
+        arcs: Its arcs and those after it.
+    """
+    for phase in phases_of_events([orbit_event_name(event) for event in period.events]):
+        *before, zeno = (period.events[k] for k in phase)
+        impacts = tuple(event for event in before if isinstance(event, Impact))
+        if not isinstance(zeno, ZenoPoint) or not impacts or not zeno.last_speed:
+            continue
+        held = next((arc for arc in arcs if arc.start_time >= zeno.time and arc.duration), None)
+        if held is not None and graph.stop_names.index(zeno.stop) in held.mode_in(graph)[0]:
+            view = struck_view(graph, period, impacts[0])
+            yield Accumulation(dynamics=view, impacts=impacts, contact=held)
+
+
 def delta_sweep(
-    machine: HybridDynamics | GraphDynamics,
+    machine: GraphDynamics,
     accumulations: Sequence[Accumulation],
     scale: Vector,
     cuts: Sequence[float],
@@ -87,7 +107,7 @@ def delta_sweep(
 
 
 def _sweep_of(
-    machine: HybridDynamics | GraphDynamics,
+    machine: GraphDynamics,
     one: Accumulation,
     scale: Vector,
     cuts: Sequence[float],
@@ -106,7 +126,7 @@ def _sweep_of(
 
 
 def _cut(
-    machine: HybridDynamics | GraphDynamics,
+    machine: GraphDynamics,
     one: Accumulation,
     scale: Vector,
     delta: float,
@@ -143,115 +163,25 @@ def cut_order(sweep: tuple[DeltaCut, ...], noise: float) -> float:
     return float(np.polyfit(speeds, errors, 1)[0])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PeriodEnergies:
-    """Energies of one period [J].
-
-    Attributes:
-        values: Energy by name, as in the certificate.
-        largest: The largest kinetic energy, or the integral of the modulus of a power if it is
-            larger. Net energies may vanish: a conservative machine loses nothing.
-    """
-
-    values: Mapping[str, float]
-    largest: float
-
-    @property
-    def imbalance(self) -> float:
-        """Defect of the energy balance (theory (2.5)), relative to the largest energy."""
-        spent = sum(value for name, value in self.values.items() if name != "input_work")
-        size = max(self.largest, *map(abs, self.values.values()))
-        return abs(self.values["input_work"] - spent) / size if size > 0.0 else 0.0
-
-
-def largest_kinetic(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> float:
-    """Return the largest kinetic energy at the steps of arcs [J].
-
-    It is the part of the energy that vanishes with the velocities.
-
-    Args:
-        dynamics: The system.
-        arcs: The arcs. Their states begin with the states of the system.
-    """
-    largest = 0.0
-    for arc in arcs:
-        for x in arc.flow_states[:, : len(arc.start_state)]:
-            still = x.copy()
-            still[dynamics.n_q : 2 * dynamics.n_q] = 0.0
-            largest = max(largest, dynamics.energy(x) - dynamics.energy(still))
-    return largest
-
-
-def energies_of(
-    orbit: Orbit,
-    problem: Problem,
-    claim: Claim,
-    cycle: Cycle,
-    simulation: SimulationSettings,
-) -> PeriodEnergies:
-    """Return the energies of one period, from an integration together with the powers.
-
-    Args:
-        orbit: The orbit.
-        problem: Its problem.
-        claim: The orbit as claimed.
-        cycle: The first period.
-        simulation: Accuracy.
-    """
-    values = orbit.values(problem)
-    unit = problem.dynamics(values).own.energy
-    dynamics = problem.dynamics(values, with_energy_ledger(unit))
-    if isinstance(simulation.completion, ZenoPassage):
-        # Each impact dissipates its own part. Only a short tail is estimated from the last speed.
-        simulation = replace(simulation, completion=simulation.completion.one_by_one)
-    start = place_on_section(dynamics, claim.shape, np.concatenate([claim.start, np.zeros(3)]))
-    last = None if claim.shape.starts_at_release else len(cycle.impacts)
-    # An impact at the end of the period is counted, even if the end time is slightly earlier.
-    until = cycle.end.time if last is None else _LATER * cycle.end.time
-    run = simulate(dynamics, start, until=until, impacts=last, settings=simulation)
-    impact_loss = 0.0
-    for impact in run.impacts:
-        impact_loss += lawful_impact(dynamics, impact)[1]
-        impact_loss -= _stored(dynamics, impact.state_minus, impact.state_plus)
-    for zeno in run.zeno_points:
-        # The tail dissipates all remaining normal kinetic energy, like a plastic impact.
-        impact_loss += dynamics.normal_inertia(zeno.state) * zeno.last_speed**2 / 2
-        departing = zeno.state + zeno.last_speed * dynamics.impulse_direction(zeno.state)
-        impact_loss -= _stored(dynamics, departing, zeno.state)
-    end = run.end_state if last is None else run.impacts[-1].state_plus
-    found = {
-        "input_work": unit * float(end[-3]),
-        "copper_loss": unit * float(end[-2]),
-        "other_loss": unit * float(end[-1]),
-        "impact_loss": impact_loss,
-        "energy_gain": dynamics.energy(end) - dynamics.energy(start),
-    }
-    n_x = len(start)
-    moved = [
-        np.abs(np.diff(arc.flow_states[:, n_x - 3 : n_x], axis=0)).sum(axis=0) for arc in run.arcs
-    ]
-    gross = unit * float(np.max(np.sum(moved, axis=0)))
-    return PeriodEnergies(values=found, largest=max(largest_kinetic(dynamics, run.arcs), gross))
-
-
-def _stored(dynamics: HybridDynamics, before: Vector, after: Vector) -> float:
-    """Return the energy added by a change of circuit states and further states [J]."""
-    first = 2 * dynamics.n_q
-    changed = before.copy()
-    changed[first:] = after[first:]
-    return dynamics.energy(changed) - dynamics.energy(before)
-
-
-def second_model(
-    by_hand: HybridDynamics, derived: Iterable[tuple[HybridDynamics, Vector]]
-) -> float:
+def second_model(by_hand: HybridDynamics, graph: GraphDynamics, period: Period) -> float:
     """Return the largest relative difference of two derivations of a model along an orbit.
 
     Args:
         by_hand: The hand-written model at the values of the orbit.
-        derived: The derived model on each branch of its kinks, with states there, ``(n, n_x)``.
+        graph: The derived model, which is compared on the branch of every arc.
+        period: A period of the orbit.
     """
-    return max(_between(by_hand, model, free) for model, free in derived)
+    times = np.linspace(period.start, period.end, _STATES)
+    states: dict[tuple[bool, ...], list[Vector]] = {}
+    for arc in period.arcs:
+        if arc.trajectory is not None:
+            inside = times[(times >= arc.start_time) & (times <= arc.end_time)]
+            along = states.setdefault(arc.sides, [])
+            along += [arc.end_state[None, :], *([arc.states_at(inside)] if inside.size else [])]
+    return max(
+        _between(by_hand, graph.view(((), sides), 0), np.concatenate(along))
+        for sides, along in states.items()
+    )
 
 
 def _between(by_hand: HybridDynamics, derived: HybridDynamics, free: Vector) -> float:

@@ -3,75 +3,102 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits import (
     LOOSER,
-    Cycle,
-    EventSequence,
-    Moment,
-    first_cycles,
-    followed,
-    kinds_of,
-    phases_of,
-    place_on_section,
+    caused_releases,
+    extrapolated,
+    orbit_event_name,
     relaxed_tolerance,
 )
-from zeno_orbits.simulation import Arc, Execution, Mode, SimulationSettings, ZenoExtrapolation
+from zeno_orbits.simulation import (
+    Arc,
+    Event,
+    Execution,
+    Impact,
+    Release,
+    SimulationSettings,
+    ZenoPoint,
+    simulate,
+    state_after,
+)
 from zeno_orbits.verification.claim import Claim
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FirstCycle:
-    """The first integrated period, and the sizes that residuals are relative to.
+class Period:
+    """One integrated period.
 
     Attributes:
-        cycle: The period.
-        largest: Largest size of each state over the period, with tails, ``(n_x,)``.
-        scale: The same sizes with zeros replaced, ``(n_x,)``.
-        gap: Largest gap.
-        force: Largest multiplier.
+        events: Its events.
+        opened: Releases that its last event causes, at the start of the next period.
+        arcs: Its arcs.
+        start: Time of its start [s].
+        end: Time of its end [s].
+        state: State just after its last event, ``(n_x,)``.
     """
 
-    cycle: Cycle
-    largest: Vector
-    scale: Vector
-    gap: float
-    force: float
+    events: tuple[Event, ...]
+    opened: tuple[Release, ...]
+    arcs: tuple[Arc, ...]
+    start: float
+    end: float
+    state: Vector
 
     @property
-    def zeno_error(self) -> float:
-        """Largest estimated error of a Zeno limit with exact impacts. 0 without a Zeno point."""
-        return max((point.limit_error for point in self.cycle.zeno_points), default=0.0)
+    def duration(self) -> float:
+        """Its length [s]."""
+        return self.end - self.start
+
+    @property
+    def impacts(self) -> list[Impact]:
+        """Its resolved impacts."""
+        return [event for event in self.events if isinstance(event, Impact)]
+
+    @property
+    def zeno_points(self) -> list[ZenoPoint]:
+        """Its Zeno points."""
+        return [event for event in self.events if isinstance(event, ZenoPoint)]
+
+    def arc_before(self, event: Event) -> Arc:
+        """Return the arc that ends at an event."""
+        return next((arc for arc in self.arcs if arc.end_time >= event.time), self.arcs[-1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Observation:
-    """The integrated orbit.
+class Run:
+    """A motion over several periods.
 
     Attributes:
-        first: The first period, if it has the phases of the claim.
-        returns: Times and states at the ends of all periods.
-        integration_error: Relative difference from an integration at a looser tolerance.
-        trouble: Reason why the integration ended early. Empty if it did not.
+        start: Its start, ``(n_x,)``.
+        execution: The execution, or ``None`` if the motion cannot start.
+        periods: The finished periods.
+        trouble: Reason for an early end, else empty.
     """
 
-    first: FirstCycle | None
-    returns: tuple[Moment, ...]
-    integration_error: float
+    start: Vector
+    execution: Execution | None
+    periods: tuple[Period, ...]
     trouble: str
 
 
 _LONGEST = 1e200
 """Longest time to wait [s]. Beyond it the time of a rescaled flight overflows."""
-
+_BEYOND, _LATE = 1e-3, 0.5
+"""Parts of a period by which an integration goes on, usually and if the period is not over: the
+mode after the last event must be seen, and the claimed period may be too short."""
+_MORE = 4
+"""Factor on the numbers of events, then: files of older versions lack releases."""
+_AT_ONCE = 1e-6
+"""Part of a period in which a release belongs to the start, which rests on its stop by rounding."""
 
 _REPETITIONS = ((LOOSER, 1.0), (LOOSER / 10.0, 3.0))
 """Factors on the tolerances of a second integration, and the largest observed ratio of the error
@@ -128,95 +155,72 @@ def error_by_repetition(
     return error
 
 
-def observe(
-    dynamics: HybridDynamics,
-    claim: Claim,
-    simulation: SimulationSettings,
-    n_periods: int,
-    enough: float = math.inf,
-) -> Observation:
-    """Integrate from the claimed start over several periods. Repeat the first less accurately.
+def followed(
+    graph: GraphDynamics, claim: Claim, x: Vector, settings: SimulationSettings, n_periods: int
+) -> Run:
+    """Return the motion from the start of a period, over a number of periods.
 
     Args:
-        dynamics: The system.
-        claim: The orbit as claimed.
-        simulation: Accuracy.
-        n_periods: Number of returns. The claimed period is only used to limit the waiting time.
-        enough: A larger integration error is estimated again by a less loose integration.
+        graph: The graph of modes.
+        claim: The orbit as claimed. Its period is only used to limit the waiting time.
+        x: The start, ``(n_x,)``.
+        settings: Accuracy. The impacts are resolved one by one.
+        n_periods: Number of periods.
     """
-    shape = claim.shape.at_restitution(dynamics.restitution)
-    start = place_on_section(dynamics, shape, claim.start)
-    horizon = min((n_periods + 0.5) * claim.period, _LONGEST)
-    try:
-        run = followed(
-            dynamics, start, shape, horizon=horizon, settings=simulation, n_periods=n_periods
-        )
-    except ZenoOrbitsError as error:
-        if n_periods == 1:
-            return _nothing(str(error).removesuffix("."))
-        # If the motion leaves its orbit later, the first period is still valid.
-        first = observe(dynamics, claim, simulation, 1, enough)
-        return replace(first, trouble=first.trouble or str(error).removesuffix("."))
-    found = first_cycles(run, start, shape)
-    if not found:
-        return _nothing(f"{_missing(run, start, shape)} within {horizon:.4g} s")
-    first = _measured(dynamics, found[0])
-    end = first.cycle.end
-
-    def difference(settings: SimulationSettings) -> float:
-        loose = replace(settings, completion=ZenoExtrapolation(tolerance=1e-10))
+    exact = replace(settings, completion=extrapolated(settings))
+    # A period that is claimed too long ends with its events.
+    releases = claim.count("release")
+    impacts = 0 if claim.count("zeno") else claim.count("impact")
+    for beyond, more in ((_BEYOND * n_periods, 1), (_LATE, _MORE)):
+        until = min((n_periods + beyond) * claim.period, _LONGEST)
         try:
-            again = followed(dynamics, start, shape, horizon=1.5 * end.time, settings=loose)
-        except ZenoOrbitsError:
-            return math.inf
-        cycles = first_cycles(again, start, shape)
-        return distance(cycles[0].end.state, end.state, first.scale) if cycles else math.inf
-
-    return Observation(
-        first=first,
-        returns=tuple(cycle.end for cycle in found),
-        integration_error=error_by_repetition(difference, simulation, enough),
-        trouble="",
-    )
-
-
-def _nothing(trouble: str) -> Observation:
-    return Observation(first=None, returns=(), integration_error=math.inf, trouble=trouble)
-
-
-def _missing(execution: Execution, start: Vector, shape: EventSequence) -> str:
-    """Return a clause on the reason why an execution does not begin with a period of a shape."""
-    if shape.starts_at_release and not execution.returns(execution.end_time):
-        return "No release occurs"
-    if shape.starts_at_release and not execution.zeno_points:
-        return "No Zeno point occurs"
-    phases = phases_of(execution, start, held=shape.starts_at_release)[: shape.n_phases]
-    seen = ", ".join(kind.value for kind in kinds_of(phases)) or "none"
-    return f"There are not the phases `{shape.text}`, but {seen}"
+            execution, trouble = (
+                simulate(
+                    graph,
+                    x,
+                    until=until,
+                    releases=more * (n_periods * releases + 2) if releases else None,
+                    impacts=more * (n_periods * impacts + 2) if impacts else None,
+                    settings=exact,
+                ),
+                "",
+            )
+        except SimulationError as error:
+            execution, trouble = error.execution, str(error).removesuffix(".")
+        except InputError as error:
+            return Run(start=x, execution=None, periods=(), trouble=str(error).removesuffix("."))
+        periods = [] if execution is None else list(_periods(execution, claim))
+        if trouble or len(periods) >= n_periods:
+            break
+        trouble = (
+            f"The event `{claim.section}` does not follow {n_periods * claim.n_returns} times "
+            f"within {until:.4g} s"
+        )
+    return Run(start=x, execution=execution, periods=tuple(periods[:n_periods]), trouble=trouble)
 
 
-def _measured(dynamics: HybridDynamics, cycle: Cycle) -> FirstCycle:
-    """Return a period with its sizes."""
-    arcs = cycle.execution.arcs
-    states = np.concatenate([arc.flow_states[:, : len(cycle.end.state)] for arc in arcs])
-    locked = [x for arc in arcs if arc.mode is Mode.LOCKED for x in arc.flow_states]
-    locked += [point.state for point in cycle.zeno_points]
-    largest = np.max(np.abs(states), axis=0)
-    return FirstCycle(
-        cycle=cycle,
-        largest=largest,
-        scale=np.where(largest > 0.0, largest, 1.0),
-        gap=max(_largest_gap(dynamics, arc) for arc in arcs),
-        force=max((abs(dynamics.multiplier(x)) for x in locked), default=1.0),
-    )
-
-
-def _largest_gap(dynamics: HybridDynamics, arc: Arc) -> float:
-    """Return the largest gap of an arc. A rescaled flight computes it during integration."""
-    states = arc.flow_states
-    if arc.mode is Mode.FREE and states.shape[1] > len(arc.start_state):
-        return float(np.max(np.abs(states[:, -2]))) * arc.time_unit**2
-    return max(abs(dynamics.gap(x)) for x in states)
+def _periods(execution: Execution, claim: Claim) -> Iterator[Period]:
+    """Yield the periods of an execution, each ended by its n-th event of the section."""
+    begin, count, first, events = 0.0, 0, 0, execution.events
+    at_once = _AT_ONCE * claim.period if claim.starts_at_release else 0.0
+    while first < len(events) and isinstance(events[first], Release):
+        if events[first].time > at_once or orbit_event_name(events[first]) != claim.section:
+            break
+        first += 1
+    for place, event in enumerate(events[first:], first):
+        if orbit_event_name(event) != claim.section or event.time <= begin:
+            continue
+        count += 1
+        if count % claim.n_returns == 0:
+            yield Period(
+                events=events[first : place + 1],
+                opened=(opened := caused_releases(events, place)),
+                arcs=tuple(a for a in execution.arcs if begin <= a.start_time < event.time),
+                start=begin,
+                end=event.time,
+                state=state_after(event),
+            )
+            begin, first = event.time, place + 1 + len(opened)
 
 
 def distance(a: Vector, b: Vector, scale: Vector) -> float:

@@ -8,13 +8,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from zeno_orbits.errors import InputError, SimulationError, not_known
-from zeno_orbits.model import HybridDynamics, Problem, bind
-from zeno_orbits.orbits import Cycle, Orbit, orbit_multipliers, place_on_section
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.simulation import Extent, SimulationSettings, extent_of, signal, signal_names
-from zeno_orbits.verification.claim import Claim, claim_of
-from zeno_orbits.verification.cross_checks import energies_of
-from zeno_orbits.verification.integration import FirstCycle, observe
-from zeno_orbits.verification.residuals import margins_of
+from zeno_orbits.verification.energies import energies_of
+from zeno_orbits.verification.integration import Run, followed
+from zeno_orbits.verification.margins import margins_of, smallest_event_share
+from zeno_orbits.verification.multipliers import multipliers_along
+from zeno_orbits.verification.residuals import sizes_along
+from zeno_orbits.verification.verifier import Material
 
 MARGINS = ("gap_acceleration", "first_impact_speed", "release_transversality", "locked_time")
 """Distances to loss of existence of an orbit, as in its certificate."""
@@ -66,72 +68,36 @@ def measure(
     """
     require_quantities(names, problem, "names")
     simulation = simulation or SimulationSettings()
-    claim = claim_of(orbit, problem)
-    values = orbit.values(problem)
-    compiled = problem.compiled()
-    dynamics = bind(compiled, values.vector)
-    seen = observe(dynamics, claim, simulation, 1)
-    first = seen.first
-    if first is None:
-        raise SimulationError(seen.trouble, time=0.0, state=tuple(claim.start.tolist()))
+    one = Material.of(orbit, problem, None)
+    run = followed(one.graph, one.claim, one.start, simulation, 1)
+    if not run.periods:
+        raise SimulationError(run.trouble, time=0.0, state=tuple(one.start.tolist()))
     found: dict[str, Extent] = {}
     for name in dict.fromkeys(names):
         if name in NUMBERS:
-            found[name] = _number(name, orbit, problem, dynamics, claim, first, simulation)
+            found[name] = _number(name, one, run, simulation)
         else:
-            value = signal(compiled, name).at(values.vector)
-            found[name] = extent_of(value, first.cycle.execution.arcs)
+            value = signal(problem.compiled(), name).at(orbit.values(problem).vector)
+            found[name] = extent_of(value, run.periods[0].arcs)
     return found
 
 
-def _number(
-    name: str,
-    orbit: Orbit,
-    problem: Problem,
-    dynamics: HybridDynamics,
-    claim: Claim,
-    first: FirstCycle,
-    simulation: SimulationSettings,
-) -> Extent:
-    error, cycle = 0.0, first.cycle
+def _number(name: str, one: Material, run: Run, simulation: SimulationSettings) -> Extent:
+    error, first, graph = 0.0, run.periods[0], one.graph
     if name == "period":
-        value = cycle.end.time
+        value = first.end
     elif name == "energy":
-        value = energies_of(orbit, problem, claim, cycle, simulation).values["input_work"]
-    elif name == "margin":
-        value = measured_smallest_share(dynamics, cycle)
+        value = energies_of(graph, first, one.start).values["input_work"]
     elif name == "spectral_radius":
-        multipliers = orbit_multipliers(
-            dynamics,
-            place_on_section(dynamics, claim.shape, claim.start),
-            scale=first.scale,
-            period=cycle.end.time,
-            settings=simulation,
-            shape=claim.shape,
-        )
+        multipliers = multipliers_along(graph, one.claim, run, simulation)
         value, error = multipliers.spectral_radius, multipliers.error
+    elif name == "margin":
+        events, arcs = first.events, first.arcs
+        value = smallest_event_share(graph, one.start, events, arcs, first.duration)
     else:
-        margins = margins_of(dynamics, first)
-        if name not in margins:
-            wanted = f"must name a quantity of the shape `{claim.shape.text}`"
-            raise InputError(f"Argument `names` {wanted}, but it names `{name}`.")
-        value = margins[name]
+        scale = sizes_along(first, graph, one.problem)
+        value = margins_of(graph, one.start, first, scale).get(name)
+    if value is None:
+        wanted = f"must name a quantity of the events `{', '.join(one.claim.sequence)}`"
+        raise InputError(f"Argument `names` {wanted}, but it names `{name}`.")
     return Extent(lowest=value, highest=value, error=error)
-
-
-def measured_smallest_share(dynamics: HybridDynamics, cycle: Cycle) -> float:
-    r"""Return the smallest margin of all phases, relative to its largest possible value.
-
-    The contact duration is relative to the period. :math:`-\ddot h` at the Zeno point is relative
-    to its largest value in the contact phase. The speed of the first impact is relative to its
-    largest value in the first flight. Theory (5.3).
-    """
-    shares: list[float] = []
-    for phase in cycle.phases:
-        speed = extent_of(dynamics.gap_rate, [phase.flight])
-        shares.append(-phase.impacts[0].approach_rate / speed.largest)
-        if phase.zeno is not None and phase.locked is not None:
-            push = extent_of(dynamics.gap_acceleration, [phase.locked])
-            shares.append((phase.end.time - phase.zeno.time) / cycle.end.time)
-            shares.append(-dynamics.gap_acceleration(phase.zeno.state) / push.largest)
-    return min(shares)

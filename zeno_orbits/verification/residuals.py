@@ -1,6 +1,11 @@
-"""Residuals and margins of a periodic orbit (theory (3.4), (3.7)).
+r"""Residuals of a period: the orbit's data, the laws of impact, and the guards between events.
 
-Residuals are zero and margins are positive along an orbit.
+Laws are stated here again, by other formulas than those of the simulator: the impulses of an impact
+follow from the changes of all gap rates,
+
+.. math:: G\,p = \dot h^+ - \dot h^-, \qquad G = J W J^\top,
+
+its loss from kinetic energies, and the guards are sampled between the events (theory (3.4), (3.9)).
 """
 
 from __future__ import annotations
@@ -11,113 +16,143 @@ from collections.abc import Sequence
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import HybridDynamics, Problem, constraint_sizes
-from zeno_orbits.simulation import Impact, Mode, ZenoPoint
-from zeno_orbits.verification.claim import Claim
-from zeno_orbits.verification.integration import FirstCycle, Observation, distance
+from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, constraint_sizes
+from zeno_orbits.orbits import (
+    events_as_listed,
+    lasting_events,
+    orbit_event_name,
+    phases_of_events,
+    sequence_of,
+)
+from zeno_orbits.simulation import Impact, Release, SwitchEvent, ZenoPoint, scale_of, state_before
+from zeno_orbits.verification.claim import Claim, ClaimedEvent, Contact
+from zeno_orbits.verification.energies import kept_stops, struck_view
+from zeno_orbits.verification.integration import Period, distance
+from zeno_orbits.verification.second_net import GuardRanges
 
 
-def orbit_residuals(
-    dynamics: HybridDynamics, problem: Problem, claim: Claim, seen: Observation
-) -> dict[str, float]:
-    """Return every residual of the integration itself, by its name in the certificate.
+def sizes_along(period: Period, graph: GraphDynamics, problem: Problem) -> Vector:
+    """Return the size of each state along a period, ``(n_x,)``.
+
+    A state that nearly vanishes has a part of the size of the others of its unit.
 
     Args:
-        dynamics: The system.
-        problem: Its problem.
-        claim: The orbit as claimed.
-        seen: The integration.
+        period: The period.
+        graph: The graph of modes.
+        problem: The problem, for the units of the states.
     """
-    first = seen.first
-    start = "release" if claim.shape.starts_at_release else "start"
-    if first is None:
-        missing = ["first_impact", "impact_sequence", "closure"]
-        missing += ["zeno_point"] if claim.shape.starts_at_release else []
-        return {start: _off_section(dynamics, claim, None), **dict.fromkeys(missing, math.inf)}
-    cycle, period = first.cycle, claim.period
-    residuals = {
-        start: _off_section(dynamics, claim, first),
-        **_hits(dynamics, claim, first),
-        "closure": _closure(claim, first),
-        "period": abs(cycle.end.time - period) / period,
-        "drift": max(distance(r.state, claim.start, first.scale) for r in seen.returns),
-        "penetration": _penetration(dynamics, first),
-        "adhesion": _adhesion(dynamics, first),
-        **impact_laws([(dynamics, impact) for impact in cycle.impacts]),
-    }
-    if len(dynamics.holonomic(claim.start)):
-        residuals["holonomic"] = _holonomic(dynamics, first)
-    if problem.escapes:
-        beyond = escapes_of(problem, first.largest).values()
-        residuals["escape"] = max((excess for excess, _ in beyond), default=0.0)
-    return residuals
-
-
-def _closure(claim: Claim, first: FirstCycle) -> float:
-    """Return the distance of the end of the period from its start, and from the last event."""
-    end, (time, state) = first.cycle.end, claim.end
-    apart = distance(end.state, claim.start, first.scale)
-    if not claim.shape.starts_at_release:
-        # The last event is an impact, which is compared with the other impacts.
-        return apart
-    return max(apart, distance(end.state, state, first.scale), abs(end.time - time) / claim.period)
-
-
-def _holonomic(dynamics: HybridDynamics, first: FirstCycle) -> float:
-    """Return the largest value of a constraint, relative to its change over the states' sizes."""
-    ends = [arc.end_state for arc in first.cycle.execution.arcs]
-    return max(
-        float(np.max(np.abs(dynamics.holonomic(x)) / constraint_sizes(dynamics, x))) for x in ends
+    return scale_of(
+        [largest_along(period)], problem.state_units, graph.own.states(period.state.size)
     )
 
 
-def escapes_of(problem: Problem, largest: Vector) -> dict[str, tuple[float, str]]:
-    """Return the coordinates that exceed the escape limits of a problem.
+def largest_along(period: Period) -> Vector:
+    """Return the largest size of each state along a period, ``(n_x,)``."""
+    n_x = period.state.size
+    return np.max([np.max(np.abs(one.flow_states[:, :n_x]), axis=0) for one in period.arcs], axis=0)
+
+
+# The orbit's data.
+
+
+def nothing_returns(claim: Claim) -> dict[str, float]:
+    """Return the residuals of an orbit whose period is not over: infinite.
 
     Args:
-        problem: The problem.
-        largest: Largest size of each state over the period, ``(n_x,)``.
-
-    Returns:
-        For each such coordinate, its excess in units of the limit, and a description of the limit.
+        claim: The orbit as claimed.
     """
-    found: dict[str, tuple[float, str]] = {}
-    for name, size in zip(problem.state_names, largest, strict=True):
-        escape = problem.escapes.get(name)
-        if escape is not None and size > escape.beyond:
-            found[name] = (float(size) / escape.beyond - 1.0, escape.phrase)
-    return found
+    return dict.fromkeys([*_kinds(claim), "closure", "period"], math.inf)
 
 
-def _hits(dynamics: HybridDynamics, claim: Claim, first: FirstCycle) -> dict[str, float]:
-    """Return the deviations of starts of phases, impacts and Zeno points from the claimed orbit."""
-    period, cycle = claim.period, first.cycle
+def _kinds(claim: Claim) -> list[str]:
+    """Return the residuals that compare the events of an orbit, apart from its last event."""
+    kinds = ["events"]
+    if claim.count("impact"):
+        kinds += ["first_impact", "impact_sequence"]
+    if claim.count("zeno"):
+        kinds.append("zeno_point")
+    if any(one.name.startswith("release ") or one.after is not None for one in claim.events[:-1]):
+        kinds.append("phases")
+    return kinds
 
-    def miss(time: float, x: Vector, said: tuple[float, Vector]) -> float:
-        return max(abs(time - said[0]) / period, distance(x, said[1], first.scale))
 
-    earliest, later, zenos, starts = list[float](), [0.0], list[float](), [0.0]
-    for said, phase in zip(claim.phases, cycle.phases, strict=True):
-        starts.append(miss(phase.start.time, phase.start.state, (said.start_time, said.start)))
-        hits = [
-            miss(impact.time, impact.state_minus, hit)
-            for hit, impact in zip(said.impacts, phase.impacts, strict=False)
-        ]
-        zeno = phase.zeno
-        if zeno is not None:
-            unseen = said.impacts[len(phase.impacts) :]
-            hits += unseen_misses(
-                dynamics.restitution, phase.impacts, zeno, unseen, period, first.scale
-            )
-            zenos.append(math.inf if said.zeno is None else miss(zeno.time, zeno.state, said.zeno))
-        earliest.append(hits[0])
-        later += hits[1:]
-    found = {"first_impact": max(earliest), "impact_sequence": max(later)}
-    if zenos:
-        found["zeno_point"] = max(zenos)
-    if len(claim.phases) > 1:
-        found["phases"] = max(starts)
-    return found
+class _Misses:
+    """The deviations of the events of a period from the claimed events, by residual."""
+
+    def __init__(self, claim: Claim, first: Period, scale: Vector) -> None:
+        self._claim, self._first, self._scale = claim, first, scale
+        self.found = dict.fromkeys([*_kinds(claim), "closure"], 0.0)
+
+    def keep(self, name: str, miss: float) -> None:
+        """Take a deviation into account."""
+        self.found[name] = max(self.found.get(name, 0.0), miss)
+
+    def compare(
+        self, name: str, event: Impact | ZenoPoint | Release | SwitchEvent, said: ClaimedEvent
+    ) -> None:
+        """Compare an event with a claimed event."""
+        late = abs(event.time - self._first.start - said.time) / self._claim.period
+        away = distance(np.asarray(state_before(event)), said.state, self._scale)
+        self.keep(name, math.inf if said.name != orbit_event_name(event) else max(late, away))
+        if said.after is not None:
+            self.keep("phases", distance(np.asarray(event.after), said.after, self._scale))
+
+
+def event_misses(
+    graph: GraphDynamics, claim: Claim, first: Period, scale: Vector
+) -> dict[str, float]:
+    """Return the deviations of the events of a period and of its end, by residual.
+
+    They are infinite from the first event on that differs. Kinks in the flights of impacts that
+    accumulate do not belong to the event sequence. Claimed impacts after the last that is resolved
+    obey the law of the tail.
+
+    Args:
+        graph: The graph of modes.
+        claim: The orbit as claimed.
+        first: The first integrated period.
+        scale: Size of each state, ``(n_x,)``.
+    """
+    misses = _Misses(claim, first, scale)
+    misses.keep("closure", distance(first.state, claim.start, scale))
+    events = events_as_listed(first.events, claim.sequence)
+    if sequence_of([orbit_event_name(event) for event in events]) != claim.sequence:
+        return {**misses.found, **dict.fromkeys(_kinds(claim), math.inf)}
+    claims = _lasting_phases([one.name for one in claim.events])
+    phases = _lasting_phases([orbit_event_name(event) for event in events])
+    for seen, listed in zip(phases, claims, strict=True):
+        *before, end = (events[k] for k in seen)
+        *claimed_before, last = (claim.events[k] for k in listed)
+        # All events before a Zeno point are impacts on its stop.
+        impacts = [event for event in before if isinstance(event, Impact)]
+        if bool(impacts) != bool(claimed_before):
+            misses.keep("first_impact", math.inf)
+        for k, (event, said) in enumerate(zip(impacts, claimed_before, strict=False)):
+            misses.compare("impact_sequence" if k else "first_impact", event, said)
+        misses.compare(_residual_of(end, last is claim.events[-1]), end, last)
+        if isinstance(end, ZenoPoint) and impacts:
+            e = graph.open_views[graph.stop_names.index(end.stop)].restitution
+            unseen = [(one.time + first.start, one.state) for one in claimed_before[len(impacts) :]]
+            for miss in unseen_misses(e, impacts, end, unseen, claim.period, scale):
+                misses.keep("impact_sequence", miss)
+    return misses.found
+
+
+def _residual_of(event: Impact | ZenoPoint | Release | SwitchEvent, is_last: bool) -> str:
+    """Return the residual that compares the last event of a phase."""
+    if isinstance(event, Impact):
+        return "first_impact"
+    if isinstance(event, ZenoPoint):
+        return "zeno_point"
+    if is_last:
+        return "closure"
+    return "phases" if isinstance(event, Release) else "events"
+
+
+def _lasting_phases(names: Sequence[str]) -> list[list[int]]:
+    """Return the indices of the lasting events of each phase."""
+    lasting = {*lasting_events(names)}
+    return [[k for k in phase if k in lasting] for phase in phases_of_events(names)]
 
 
 def unseen_misses(
@@ -158,76 +193,48 @@ def unseen_misses(
     return missed
 
 
-def margins_of(dynamics: HybridDynamics, first: FirstCycle | None) -> dict[str, float]:
-    """Return the distances to loss of existence, the smallest over the phases.
+def off_section(
+    graph: GraphDynamics,
+    claim: Claim,
+    contacts: Sequence[Contact],
+    ranges: GuardRanges,
+    first: Period | None,
+    scale: Vector,
+) -> dict[str, float]:
+    """Return the distance of the claimed start from the states just after the event of its section.
 
-    Without a first period the result is empty. ``phases_apart`` is 0 if the starts of two phases of
-    one kind are equal to the accuracy of an orbit. The period then consists of several shorter
-    periods.
+    Gap and gap rate of the stops that stay closed are zero, and the gap of a stop that the event
+    leaves. At a release the multiplier is zero as well. A switch has the claimed state after it.
+
+    Args:
+        graph: The graph of modes.
+        claim: The orbit as claimed.
+        contacts: The stops that it touches at the start of its period.
+        ranges: The ranges of gaps and multipliers over the period.
+        first: The first integrated period, if there is one.
+        scale: Size of each state, ``(n_x,)``.
+
+    Returns:
+        The residual ``release`` or ``start``.
     """
-    if first is None:
-        return {}
-    cycle = first.cycle
-    held = [phase for phase in cycle.phases if phase.zeno is not None]
-    struck = [phase for phase in cycle.phases if phase.zeno is None]
-    margins: dict[str, float] = {}
-    if held:
-        states = [point.state for point in cycle.zeno_points]
-        margins["gap_acceleration"] = min(-dynamics.gap_acceleration(x) for x in states)
-    margins["first_impact_speed"] = min(-p.impacts[0].approach_rate for p in cycle.phases)
-    if held:
-        margins["release_transversality"] = min(
-            -dynamics.multiplier_rate(phase.end.state) for phase in held
-        )
-        margins["locked_time"] = min(
-            phase.end.time - phase.zeno.time for phase in held if phase.zeno is not None
-        )
-    if struck and dynamics.restitution == 0.0:
-        margins["lets_go"] = min(dynamics.gap_acceleration(phase.end.state) for phase in struck)
-    apart = cycle.shorter_periods(first.scale)
-    if apart:
-        margins["phases_apart"] = min(apart.values())
-    return margins
+    x, off = claim.start, [0.0]
+    speeds = [] if first is None else [abs(impact.approach_rate) for impact in first.impacts]
+    for one in contacts:
+        off.append(abs(one.view.gap(x)) / ranges.largest_gap(one.stop))
+        if one.rests:
+            fastest = max(speeds, default=0.0) or one.view.own.gap_rate
+            off.append(abs(one.view.gap_rate(x)) / fastest)
+        if one.released:
+            off.append(abs(one.view.multiplier(x)) / ranges.largest_force(one.stop))
+    kind, _, name = claim.section.partition(" ")
+    if kind == "switch" and scale.size and name in graph.switch_names[: graph.n_declared]:
+        before = claim.events[-1].state
+        after = graph.after_switch(graph.switch_names.index(name), before)
+        off.append(distance(after, x, scale))
+    return {"release" if claim.starts_at_release else "start": max(off)}
 
 
-def _off_section(dynamics: HybridDynamics, claim: Claim, first: FirstCycle | None) -> float:
-    """Return the distance of the claimed start from its section.
-
-    At a release the gap, the gap rate and the multiplier are zero. Just after an impact the gap is
-    zero. After a plastic impact the gap rate is also zero.
-    """
-    speed = 1.0 if first is None else abs(first.cycle.impacts[0].approach_rate)
-    gap = 1.0 if first is None else first.gap
-    force = 1.0 if first is None else first.force
-    off = [abs(dynamics.gap(claim.start)) / gap]
-    if claim.shape.starts_at_release or dynamics.restitution == 0.0:
-        off.append(abs(dynamics.gap_rate(claim.start)) / speed)
-    if claim.shape.starts_at_release:
-        off.append(abs(dynamics.multiplier(claim.start)) / force)
-    return max(off)
-
-
-def _penetration(dynamics: HybridDynamics, first: FirstCycle) -> float:
-    lowest = 0.0
-    for arc in first.cycle.execution.arcs:
-        if arc.mode is Mode.FREE and arc.trajectory is not None:
-            inside = arc.flow_states[1:-1]
-            scaled = inside.shape[1] > len(arc.start_state)
-            for y in inside:
-                gap = float(y[-2]) * arc.time_unit**2 if scaled else dynamics.gap(y)
-                lowest = min(lowest, gap)
-            lowest = min(lowest, dynamics.gap(arc.end_state))
-    return abs(lowest) / first.gap
-
-
-def _adhesion(dynamics: HybridDynamics, first: FirstCycle) -> float:
-    pulls = [
-        max(0.0, -dynamics.multiplier(x))
-        for phase in first.cycle.phases
-        if phase.locked is not None
-        for x in phase.locked.flow_states
-    ]
-    return max(pulls, default=0.0) / first.force
+# The laws.
 
 
 def lawful_impact(dynamics: HybridDynamics, impact: Impact) -> tuple[float, float]:
@@ -244,20 +251,56 @@ def lawful_impact(dynamics: HybridDynamics, impact: Impact) -> tuple[float, floa
     return -e * rate, (1 - e**2) / 2 * inertia * rate**2
 
 
-def impact_laws(struck: Sequence[tuple[HybridDynamics, Impact]]) -> dict[str, float]:
-    """Return the deviations of the resets from Newton's law and from its energy loss.
+def impact_laws(graph: GraphDynamics, period: Period) -> dict[str, float]:
+    """Return the deviations of impacts from Newton's law and its loss, and the largest pull.
 
     Args:
-        struck: Each impact with the system of its stop, in which closed stops are constraints.
+        graph: The graph of modes.
+        period: The period.
     """
-    turn, loss, fastest = 0.0, 0.0, max(abs(impact.approach_rate) for _, impact in struck)
-    for dynamics, impact in struck:
-        inertia = dynamics.normal_inertia(impact.state_minus)
-        speed, cost = lawful_impact(dynamics, impact)
-        change = _energy_change(dynamics, impact)
-        turn = max(turn, abs(dynamics.gap_rate(impact.state_plus) - speed) / fastest)
+    impacts = period.impacts
+    if not impacts:
+        return {}
+    turn, loss, fastest = 0.0, 0.0, max(abs(impact.approach_rate) for impact in impacts)
+    for impact in impacts:
+        view = struck_view(graph, period, impact)
+        speed, cost = lawful_impact(view, impact)
+        change, inertia = _energy_change(view, impact), view.normal_inertia(impact.state_minus)
+        turn = max(turn, abs(view.gap_rate(impact.state_plus) - speed) / fastest)
         loss = max(loss, abs(change + cost) / (inertia * fastest**2 / 2))
-    return {"restitution": turn, "impact_energy": loss}
+    found = {"restitution": turn, "impact_energy": loss}
+    if len(graph.stop_names) > 1:
+        found["impulses"] = max(_pull(graph, period, impact) for impact in impacts) / fastest
+    return found
+
+
+def _pull(graph: GraphDynamics, period: Period, impact: Impact) -> float:
+    """Return the largest pull of a stop in an impact, as a share of the approach rate."""
+    before, after = (
+        np.array([view.gap_rate(x) for view in graph.open_views])
+        for x in (impact.state_minus, impact.state_plus)
+    )
+    impulses = _impulses(graph, period, impact, after - before)
+    largest, n = float(np.max(np.abs(impulses))), len(graph.stop_names)
+    if largest == 0.0 or np.linalg.matrix_rank(graph.delassus(impact.state_minus)) < n:
+        return 0.0
+    return max(0.0, float(np.max(-impulses))) * abs(impact.approach_rate) / largest
+
+
+def _impulses(graph: GraphDynamics, period: Period, impact: Impact, change: Vector) -> Vector:
+    """Return the impulses of all stops that change the gap rates as an impact does.
+
+    The current layer of a corrected drive lasts too long to open a stop that a force holds closed.
+    A stop that stays closed then has its impulse by the masses alone.
+    """
+    x, k = impact.state_minus, graph.stop_names.index(impact.stop)
+    impulses: Vector = np.linalg.lstsq(graph.delassus(x), change, rcond=1e-9)[0].astype(np.float64)
+    if graph.has_current_layers:
+        kept, _ = graph.mode_of(kept_stops(graph, period, impact), ())
+        coupling = graph.coupling(x)
+        share = np.linalg.solve(coupling[np.ix_(kept, kept)], coupling[list(kept), k])
+        impulses[list(kept)] = -share * impulses[k]
+    return impulses
 
 
 _FAST = 2.0**60
@@ -297,3 +340,41 @@ def _energy_change(dynamics: HybridDynamics, impact: Impact) -> float:
         x[moving] = _FAST * (mean + sign * share * half)
         energies.append(dynamics.energy(x))
     return other + (energies[0] - energies[1]) / (_FAST**2 * share)
+
+
+def constraints_along(graph: GraphDynamics, period: Period) -> dict[str, float]:
+    """Return the largest value of a constraint at the ends of arcs, if there are any.
+
+    It is relative to the change of the constraint over the sizes of the states.
+
+    Args:
+        graph: The graph of modes.
+        period: The period.
+    """
+    view = graph.first
+    if not view.holonomic(period.state).size:
+        return {}
+    ends = [arc.end_state for arc in period.arcs]
+    return {
+        "holonomic": max(
+            float(np.max(np.abs(view.holonomic(x)) / constraint_sizes(view, x))) for x in ends
+        )
+    }
+
+
+def escapes_of(problem: Problem, largest: Vector) -> dict[str, tuple[float, str]]:
+    """Return the coordinates that exceed the escape limits of a problem.
+
+    Args:
+        problem: The problem.
+        largest: Largest size of each state over the period, ``(n_x,)``.
+
+    Returns:
+        For each such coordinate, its excess in units of the limit, and a description of the limit.
+    """
+    found: dict[str, tuple[float, str]] = {}
+    for name, size in zip(problem.state_names, largest, strict=True):
+        escape = problem.escapes.get(name)
+        if escape is not None and size > escape.beyond:
+            found[name] = (float(size) / escape.beyond - 1.0, escape.phrase)
+    return found

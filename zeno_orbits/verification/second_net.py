@@ -25,6 +25,8 @@ SAMPLES = 2000
 _TOLERANCE = Tolerance(relative=1e-11, absolute=1e-12)
 """Local error of a step. It is ten times the usual error, so that accuracy-limited steps differ."""
 
+_LEAST = 24
+"""Least number of steps of an arc: contacts and flights may be much shorter than a period."""
 _SIZE = 1e12
 """Size of a guard in units of its rounding level."""
 
@@ -38,8 +40,10 @@ class GuardRanges:
         Args:
             graph: The graph of modes.
         """
-        self._graph = graph
-        self._deepest = self._highest = self._pull = self._push = self._crossed = 0.0
+        self._graph, self.is_broken = graph, False
+        n = len(graph.stop_names)
+        self._highest, self._push = np.zeros(n), np.zeros(n)
+        self._deepest = self._pull = self._crossed = 0.0
 
     def meet(self, arc: Arc, states: Vector) -> None:
         """Take the states of an arc into account.
@@ -50,55 +54,62 @@ class GuardRanges:
         """
         if not len(states):
             return
-        graph, n_stops = self._graph, len(self._graph.stop_names)
+        graph = self._graph
         mode = arc.mode_in(graph)
-        for k in range(n_stops):
+        for k in range(len(graph.stop_names)):
             if k in mode[0]:
                 view = graph.holding(mode, k)
                 forces = view.locked.guards(states) / view.own.multiplier
                 self._pull = max(self._pull, -float(np.min(forces)))
-                self._push = max(self._push, float(np.max(forces)))
+                self._push[k] = max(self._push[k], float(np.max(forces)))
             else:
                 view = graph.view(mode, k)
                 gaps = view.free.guards(states) / view.own.gap
                 self._deepest = max(self._deepest, -float(np.min(gaps)))
-                self._highest = max(self._highest, float(np.max(gaps)))
+                self._highest[k] = max(self._highest[k], float(np.max(gaps)))
         if graph.switch_names:
             self._crossed = max(self._crossed, self._on_other_side(arc, states))
 
     def residuals(self) -> dict[str, float]:
-        """Return `penetration`, `adhesion` and, with switches, `switches`.
+        """Return `penetration` and `adhesion` of stops, and `switches` of switches and kinks.
 
         They are the deepest gap below zero in units of the largest gap, the largest pull on a stop
         in units of the largest multiplier, and the largest guard of a switch on its other side in
         units of its own size.
         """
-        found = {
-            "penetration": _share(self._deepest, self._highest),
-            "adhesion": _share(self._pull, self._push),
-        }
-        return found | ({"switches": self._crossed} if self._graph.switch_names else {})
+        found: dict[str, float] = {}
+        if self._graph.stop_names:
+            found["penetration"] = _share(self._deepest, float(np.max(self._highest)))
+            found["adhesion"] = _share(self._pull, float(np.max(self._push)))
+        found |= {"switches": self._crossed} if self._graph.switch_names else {}
+        return dict.fromkeys(found, math.inf) if self.is_broken else found
+
+    def largest_gap(self, stop: int) -> float:
+        """Return the largest gap of a stop, its characteristic scale if it was never open."""
+        return float(self._highest[stop] or 1.0) * self._graph.open_views[stop].own.gap
+
+    def largest_force(self, stop: int) -> float:
+        """Return the largest multiplier of a stop, its characteristic scale if never closed."""
+        return float(self._push[stop] or 1.0) * self._graph.open_views[stop].own.multiplier
 
     def _on_other_side(self, arc: Arc, states: Vector) -> float:
         """Return the largest guard of a kink on its other side, or of a switch that was passed."""
-        graph, n = self._graph, self._graph.n_declared
-        found, above = 0.0, np.zeros(n, dtype=bool)
-        for x in states:
-            guards, rounding, armed = graph.guards(x, arc.sides)
-            sizes = np.abs(guards) / np.maximum(rounding * _SIZE, 1e-300)
-            wrong = (guards[n:] > 0.0) != np.array(arc.sides, dtype=bool)
-            passed = above & (guards[:n] < 0.0) & (armed[:n] > 0.0)
-            found = max(found, *sizes[n:][wrong], *sizes[:n][passed], 0.0)
-            above = (guards[:n] > 0.0) & (armed[:n] > 0.0)
-        return found
+        n = self._graph.n_declared
+        guards, rounding, armed = self._graph.guards_along(states, arc.sides)
+        sizes = np.abs(guards) / np.maximum(rounding * _SIZE, 1e-300)
+        wrong = (guards[:, n:] > 0.0) != np.array(arc.sides, dtype=bool)
+        above = (guards[:-1, :n] > 0.0) & (armed[:-1] > 0.0)
+        passed = above & (guards[1:, :n] < 0.0) & (armed[1:] > 0.0)
+        found = [sizes[:, n:][wrong], sizes[1:, :n][passed]]
+        return float(np.max(np.concatenate(found), initial=0.0))
 
 
 def _share(below: float, above: float) -> float:
     return below / above if above > 0.0 else float(below > 0.0)
 
 
-def sampled_guards(graph: GraphDynamics, arcs: Sequence[Arc], period: float) -> dict[str, float]:
-    """Return the residuals of `GuardRanges` of a period, from different, bounded steps.
+def sampled_guards(graph: GraphDynamics, arcs: Sequence[Arc], period: float) -> GuardRanges:
+    """Return the extreme values of all guards over a period, from different, bounded steps.
 
     Args:
         graph: The graph of modes.
@@ -106,20 +117,26 @@ def sampled_guards(graph: GraphDynamics, arcs: Sequence[Arc], period: float) -> 
         period: The period [s].
 
     Returns:
-        The residuals. Infinite if an arc cannot be integrated.
+        The extreme values. Their residuals are infinite if an arc cannot be integrated.
     """
-    ranges, longest = GuardRanges(graph), period / SAMPLES
-    engine = Automatic(
-        explicit=RungeKutta(largest_step=longest), implicit=Radau(largest_step=longest)
-    )
+    ranges, tolerance = GuardRanges(graph), _TOLERANCE.times(graph.own.least)
+    usual = _bounded(period / SAMPLES)
     try:
         for arc in arcs:
-            if arc.trajectory is None:
-                continue
-            flow = graph.flow(arc.mode_in(graph))
-            tolerance = _TOLERANCE.times(graph.own.least)
             duration = arc.end_time - arc.start_time
+            if arc.trajectory is None or not duration > 0.0:
+                continue
+            # Impacts that accumulate have many short flights.
+            is_short = arc.time_unit == 1.0 and duration < _LEAST * period / SAMPLES
+            engine = _bounded(duration / _LEAST) if is_short else usual
+            flow = graph.flow(arc.mode_in(graph))
             ranges.meet(arc, states_after_steps(flow, engine, arc.start_state, tolerance, duration))
     except ZenoOrbitsError:
-        return dict.fromkeys(ranges.residuals(), math.inf)
-    return ranges.residuals()
+        ranges.is_broken = True
+    return ranges
+
+
+def _bounded(longest: float) -> Automatic:
+    """Return the automatic integrator with a longest step [s]."""
+    explicit, implicit = RungeKutta(largest_step=longest), Radau(largest_step=longest)
+    return Automatic(explicit=explicit, implicit=implicit)

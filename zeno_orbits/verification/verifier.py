@@ -2,7 +2,7 @@
 
 The check is independent of the method that found the orbit. The problem is rebuilt from the orbit's
 parameters and gains. The completed system is simulated over several periods, from the start of the
-period. The result is compared with the orbit's data. Residuals are relative (theory (3.4), (3.7)).
+period. The result is compared with the orbit's data. Residuals are relative (theory (3.4), (3.9)).
 """
 
 from __future__ import annotations
@@ -12,32 +12,48 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from zeno_orbits.errors import SimulationError, ZenoOrbitsError, require_counts
-from zeno_orbits.integrators import Tolerance
-from zeno_orbits.model import HybridDynamics, Problem, graph_of, load_reference
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError, require_counts
+from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, graph_of, load_reference
 from zeno_orbits.orbits import (
+    EventQuantities,
     Multipliers,
     Orbit,
-    PhaseKind,
-    orbit_multipliers,
+    extrapolated,
     other_equations,
-    place_on_section,
+    time_blur,
 )
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
-from zeno_orbits.verification.claim import Claim, claim_of
+from zeno_orbits.verification.claim import Claim, Contact, claim_of
 from zeno_orbits.verification.cross_checks import (
-    Accumulation,
+    accumulations_of,
     cut_order,
     delta_sweep,
-    energies_of,
     second_model,
 )
-from zeno_orbits.verification.integration import FirstCycle, Observation, decisive, observe
-from zeno_orbits.verification.residuals import escapes_of, margins_of, orbit_residuals
-from zeno_orbits.verification.second_net import sampled_guards
+from zeno_orbits.verification.energies import PeriodEnergies, energies_of
+from zeno_orbits.verification.integration import (
+    Period,
+    Run,
+    decisive,
+    distance,
+    error_by_repetition,
+    followed,
+)
+from zeno_orbits.verification.margins import margins_of
+from zeno_orbits.verification.multipliers import multipliers_along
+from zeno_orbits.verification.residuals import (
+    constraints_along,
+    escapes_of,
+    event_misses,
+    impact_laws,
+    largest_along,
+    nothing_returns,
+    off_section,
+    sizes_along,
+)
+from zeno_orbits.verification.second_net import GuardRanges, sampled_guards
 from zeno_orbits.work import Checked, Progress, checked, silent
 
 
@@ -67,10 +83,93 @@ class VerificationSettings(Checked):
 
 _SHARE = 0.1
 """Conservative ratio between the errors of the finer and of the looser integration."""
+_SHORTER_TAIL = 1e-2
+"""Factor on the speed to which impacts are resolved, if the work in their tails is too inexact."""
 
 
-_MULTIPLIERS = 1e-10
-"""Relative local error for multipliers. A smaller error costs more without being useful."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Material:
+    """An orbit to be verified, and the machines on which it is.
+
+    Attributes:
+        orbit: The orbit.
+        problem: Its problem.
+        claim: The orbit as vectors.
+        graph: The machine to integrate.
+        own: The machine of the problem, with its powers and energies.
+        contacts: The stops that the orbit touches at the start of its period.
+        start: Start of the integration: the claimed start moved onto its section, ``(n_x,)``.
+    """
+
+    orbit: Orbit
+    problem: Problem
+    claim: Claim
+    graph: GraphDynamics
+    own: GraphDynamics
+    contacts: tuple[Contact, ...]
+    start: Vector
+
+    @classmethod
+    def of(
+        cls,
+        orbit: Orbit,
+        problem: Problem,
+        dynamics: HybridDynamics | GraphDynamics | None,
+        *,
+        use_reference: bool = False,
+    ) -> Material:
+        """Return the material of a verification.
+
+        Raises:
+            InputError: If the orbit does not fit the problem.
+        """
+        claim, values = claim_of(orbit, problem), orbit.values(problem)
+        own = problem.graph_dynamics(values)
+        if dynamics is None and use_reference:
+            dynamics = load_reference(problem).dynamics(values)
+        graph = own if dynamics is None else graph_of(dynamics, "".join(own.stop_names[:1]))
+        if (graph.state_names, graph.stop_names) != (own.state_names, own.stop_names):
+            wanted = f"must have the states and stops of problem `{problem.name}`"
+            raise InputError(f"Argument `dynamics` {wanted}.")
+        contacts, start = claim.contacts(graph), claim.start
+        for contact in contacts:
+            start = contact.placed(start)
+        return cls(
+            orbit=orbit,
+            problem=problem,
+            claim=claim,
+            graph=graph,
+            own=own,
+            contacts=tuple(contacts),
+            start=start,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Observation:
+    """The integrated orbit.
+
+    Attributes:
+        run: The integration.
+        scale: Size of each state along the first period, ``(n_x,)``, empty without a period.
+        residuals: Residuals of this integration.
+        integration_error: Relative difference from an integration at a looser tolerance.
+    """
+
+    run: Run
+    scale: Vector
+    residuals: Mapping[str, float]
+    integration_error: float = math.inf
+
+    @property
+    def first(self) -> Period | None:
+        """The first period, if it is over."""
+        return next(iter(self.run.periods), None)
+
+    @property
+    def worst(self) -> float:
+        """The largest residual or error."""
+        return max(*self.residuals.values(), self.integration_error)
 
 
 def verify(
@@ -78,7 +177,7 @@ def verify(
     problem: Problem,
     *,
     settings: VerificationSettings | None = None,
-    dynamics: HybridDynamics | None = None,
+    dynamics: HybridDynamics | GraphDynamics | None = None,
     on_progress: Progress = silent,
 ) -> OrbitCertificate:
     """Return the certificate of an orbit.
@@ -87,138 +186,190 @@ def verify(
         orbit: The orbit. Its own certificate and multipliers are ignored.
         problem: Its problem.
         settings: Tolerance, number of periods and accuracy.
-        dynamics: The system to integrate. By default it is the problem's system at the orbit's
-            parameter values.
+        dynamics: The machine to integrate. By default it is the problem's machine at the orbit's
+            parameter values. Powers and energies are those of the problem.
         on_progress: Called with the name of each stage as it begins.
 
     Raises:
         InputError: If the orbit does not fit the problem.
     """
-    settings = settings or VerificationSettings()
-    claim = claim_of(orbit, problem)
-    if dynamics is None:
-        dynamics = problem_dynamics(orbit, problem, use_reference=settings.use_reference)
+    asked = settings or VerificationSettings()
+    one = Material.of(orbit, problem, dynamics, use_reference=asked.use_reference)
     on_progress("integrating the orbit", None)
-    n_periods, enough = settings.n_periods, settings.tolerance
 
-    def observed(simulation: SimulationSettings) -> tuple[Observation, dict[str, float]]:
-        seen = observe(dynamics, claim, simulation, n_periods, enough)
-        return seen, orbit_residuals(dynamics, problem, claim, seen)
+    def observed(simulation: SimulationSettings) -> _Observation:
+        return _observed(one, replace(asked, simulation=simulation))
 
-    (seen, residuals), simulation = decisive(observed, _worst, settings.simulation, enough)
-    settings = replace(settings, simulation=simulation)
-    multipliers: Multipliers | None = None
-    again = _CrossChecks()
-    if seen.first is not None:
-        again = _cross_checks(orbit, problem, dynamics, claim, seen.first, settings, on_progress)
-        residuals = _worse(residuals, again.residuals)
-        residuals["integration"] = seen.integration_error
+    seen, simulation = decisive(
+        observed, lambda seen: seen.worst, asked.simulation, asked.tolerance
+    )
+    settings = replace(asked, simulation=simulation)
+    known, again, residuals = Multipliers.unknown(), _CrossChecks(), dict(seen.residuals)
+    if seen.first is None:
+        ranges = GuardRanges(one.graph)
+        residuals |= off_section(one.graph, one.claim, one.contacts, ranges, None, one.start[:0])
+    else:
+        again = _cross_checks(one, seen, seen.first, settings, on_progress)
+        residuals |= again.residuals
         on_progress("computing the multipliers", None)
+        noise = _SHARE * seen.integration_error
         with suppress(ZenoOrbitsError):
-            multipliers = _multipliers(dynamics, claim, seen.first, settings, seen)
-    stable = multipliers is not None and multipliers.spectral_radius < 1.0
-    trouble = seen.trouble
-    if not stable:
+            known = multipliers_along(one.graph, one.claim, seen.run, simulation, noise)
+    trouble = seen.run.trouble
+    if not known.spectral_radius < 1.0 or (not known.values and math.isinf(known.error)):
         # Rounding errors grow along an unstable orbit, so later returns are meaningless.
         residuals.pop("drift", None)
-        trouble = trouble if multipliers is None else ""
-    clauses = [trouble, *_contradictions(orbit, problem, dynamics, seen)]
+        trouble = "" if known.values else trouble
+    clauses = [trouble, *_contradictions(one, seen.first)]
+    errors = [point.limit_error for point in seen.first.zeno_points] if seen.first else [math.inf]
     return OrbitCertificate(
         tolerance=settings.tolerance,
-        residuals=residuals,
-        margins=margins_of(dynamics, seen.first),
+        residuals={name: float(value) for name, value in residuals.items()},
+        margins=again.margins,
         energies=again.energies,
-        multipliers=() if multipliers is None else multipliers.values,
-        multiplier_error=math.inf if multipliers is None else multipliers.error,
+        multipliers=known.values,
+        multiplier_error=known.error,
         delta_sweep=again.sweep,
         delta_order=cut_order(again.sweep, seen.integration_error),
         integration_error=seen.integration_error,
-        zeno_error=math.inf if seen.first is None else seen.first.zeno_error,
-        period=math.nan if seen.first is None else seen.first.cycle.end.time,
+        zeno_error=max(errors, default=0.0),
+        period=math.nan if seen.first is None else seen.first.end,
         n_periods=settings.n_periods,
         model="reference" if settings.use_reference else "derived",
         trouble="; ".join(clause for clause in clauses if clause),
-        shape=claim.shape.text,
-        open_balance=not problem.is_balanced,
+        shape=orbit.phases_as.text if orbit.phases_as else "",
+        open_balance=not _is_balanced(one.own),
+        events=orbit.sequence,
+        quantities=again.quantities,
     )
 
 
-def _worst(observed: tuple[Observation, Mapping[str, float]]) -> float:
-    """Return the largest residual and integration error, infinite without a period."""
-    seen, residuals = observed
-    return max(*residuals.values(), seen.integration_error) if seen.first else math.inf
+def _observed(one: Material, settings: VerificationSettings) -> _Observation:
+    """Return the integrated orbit with the residuals of the integration itself."""
+    graph, claim, n_periods = one.graph, one.claim, settings.n_periods
+    run = followed(graph, claim, one.start, settings.simulation, n_periods)
+    if not run.periods:
+        return _Observation(run=run, scale=one.start[:0], residuals=nothing_returns(claim))
+    first, scale = run.periods[0], sizes_along(run.periods[0], graph, one.problem)
+    drift = max(distance(period.state, claim.start, scale) for period in run.periods)
+    misses = event_misses(graph, claim, first, scale) | {
+        "period": abs(first.end - claim.period) / claim.period,
+        "drift": drift if len(run.periods) == n_periods else math.inf,
+    }
+    blur = time_blur(first.arcs, graph, first.end, scale)
+    residuals = {
+        **{name: max(0.0, miss - blur) for name, miss in misses.items()},
+        **impact_laws(graph, first),
+        **constraints_along(graph, first),
+    }
 
+    def difference(looser: SimulationSettings) -> float:
+        others = followed(graph, claim, one.start, looser, 1).periods
+        if not others:
+            return math.inf
+        later = abs(others[0].end - first.end) / first.end
+        return max(distance(others[0].state, first.state, scale), later)
 
-def _worse(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
-    """Return the union of two sets of residuals, with the larger value of common residuals."""
-    return {**one, **{name: max(size, one.get(name, size)) for name, size in other.items()}}
+    error = error_by_repetition(difference, settings.simulation, settings.tolerance)
+    return _Observation(run=run, scale=scale, residuals=residuals, integration_error=error)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _CrossChecks:
-    """Results of the integrations that repeat the first period in another way."""
+    """Results that need the first period: residuals, margins, energies, truncations."""
 
-    residuals: dict[str, float] = field(default_factory=dict[str, float])
+    residuals: Mapping[str, float] = field(default_factory=dict[str, float])
+    margins: Mapping[str, float] = field(default_factory=dict[str, float])
     energies: Mapping[str, float] = field(default_factory=dict[str, float])
+    quantities: Mapping[str, tuple[float, float]] = field(
+        default_factory=dict[str, tuple[float, float]]
+    )
     sweep: tuple[DeltaCut, ...] = ()
 
 
 def _cross_checks(
-    orbit: Orbit,
-    problem: Problem,
-    dynamics: HybridDynamics,
-    claim: Claim,
-    first: FirstCycle,
+    one: Material,
+    seen: _Observation,
+    first: Period,
     settings: VerificationSettings,
     on_progress: Progress,
 ) -> _CrossChecks:
-    simulation, residuals = settings.simulation, dict[str, float]()
-    on_progress("sampling gap and multiplier", None)
-    cycle = first.cycle
-    residuals |= sampled_guards(graph_of(dynamics), cycle.execution.arcs, cycle.end.time)
-    on_progress("cutting the impact sequence", None)
-    accumulations = [
-        Accumulation(dynamics=dynamics, impacts=phase.impacts, contact=phase.locked)
-        for phase in cycle.phases
-        if phase.kind is PhaseKind.ZENO and phase.locked is not None
-    ]
-    enough = settings.tolerance / 10.0
-    sweep = delta_sweep(dynamics, accumulations, first.scale, settings.cuts, simulation, enough)
+    graph, problem, simulation = one.graph, one.problem, settings.simulation
+    arcs = () if seen.run.execution is None else seen.run.execution.arcs
+    on_progress("sampling all guards", None)
+    ranges = sampled_guards(graph, first.arcs, first.duration)
+    residuals = ranges.residuals()
+    residuals |= off_section(graph, one.claim, one.contacts, ranges, first, seen.scale)
+    on_progress("cutting the impact sequences", None)
+    accumulations, enough = list(accumulations_of(graph, first, arcs)), settings.tolerance / 10.0
+    sweep = delta_sweep(graph, accumulations, seen.scale, settings.cuts, simulation, enough)
     if sweep:
         residuals["delta_sweep"] = sweep[-1].error
     on_progress("balancing the energy", None)
     energies: Mapping[str, float] = {}
-    try:
-        found = energies_of(orbit, problem, claim, first.cycle, simulation)
+    with suppress(ZenoOrbitsError):
+        found = _energies(one, first, settings)
         energies = found.values
-        if problem.is_balanced:
+        if _is_balanced(one.own):
             residuals["energy_balance"] = found.imbalance
-    except ZenoOrbitsError:
-        residuals["energy_balance"] = math.inf
-    if problem.reference is not None:
+    if problem.reference is not None and len(one.own.stop_names) == 1:
         on_progress("comparing two derivations of the model", None)
-        values, times = orbit.values(problem), np.linspace(0.0, cycle.end.time, 41)
-        struck = [impact.state_minus for impact in cycle.impacts]
-        states = np.array([*cycle.execution.states_at(times), *struck])
-        by_hand = load_reference(problem).dynamics(values)
-        residuals["second_model"] = second_model(by_hand, [(problem.dynamics(values), states)])
-    return _CrossChecks(residuals=residuals, energies=energies, sweep=sweep)
+        by_hand = load_reference(problem).dynamics(one.orbit.values(problem))
+        residuals["second_model"] = second_model(by_hand, one.own, first)
+    if problem.escapes:
+        beyond = escapes_of(problem, largest_along(first)).values()
+        residuals["escape"] = max((excess for excess, _ in beyond), default=0.0)
+    residuals["integration"] = seen.integration_error
+    quantities = EventQuantities(
+        graph=graph,
+        start=one.start,
+        period=first.duration,
+        events=(*first.events, *first.opened),
+    )
+    return _CrossChecks(
+        residuals=residuals,
+        margins=margins_of(graph, one.start, first, seen.scale),
+        energies=energies,
+        quantities={name: (q.lowest, q.highest) for name, q in quantities.table().items()},
+        sweep=sweep,
+    )
 
 
-def _contradictions(
-    orbit: Orbit, problem: Problem, dynamics: HybridDynamics, seen: Observation
-) -> Iterator[str]:
+def _energies(one: Material, first: Period, settings: VerificationSettings) -> PeriodEnergies:
+    """Return the energies of the first period.
+
+    The powers inside a tail are interpolated. If the balance does not close, impacts are resolved
+    to a lower speed.
+    """
+    found = energies_of(one.own, first, one.start)
+    if found.imbalance <= settings.tolerance or not first.zeno_points:
+        return found
+    rule = extrapolated(settings.simulation)
+    shorter = replace(rule, resolved=_SHORTER_TAIL * rule.resolved)
+    finer = replace(settings.simulation, completion=shorter)
+    run = followed(one.graph, one.claim, one.start, finer, 1)
+    return energies_of(one.own, run.periods[0], one.start) if run.periods else found
+
+
+def _is_balanced(graph: GraphDynamics) -> bool:
+    """Return True if all powers are given, so that the energy balance can be checked."""
+    return graph.compiled.system(graph.open_mode, 0).is_balanced
+
+
+def _contradictions(one: Material, first: Period | None) -> Iterator[str]:
     """Yield clauses on false statements in an orbit's data, and on coordinates that escape."""
-    if other := other_equations(orbit.problem_digest, problem):
+    orbit, shape = one.orbit, one.orbit.phases_as
+    if other := other_equations(orbit.problem_digest, one.problem):
         yield other
-    shape = orbit.shape.at_restitution(dynamics.restitution)
-    if shape != orbit.shape:
-        at = f"at restitution {dynamics.restitution:g} it is `{shape.text}`"
-        yield f"the orbit says that its shape is `{orbit.shape.text}`, but {at}"
-    if dynamics.restitution == 1.0 and not shape.without_contact:
-        yield f"elastic impacts have no Zeno point, but the orbit has the shape `{shape.text}`"
-    if seen.first is not None:
-        yield from (phrase for _, phrase in escapes_of(problem, seen.first.largest).values())
+    for name, view in zip(one.graph.stop_names, one.graph.open_views, strict=False):
+        e = view.restitution
+        if e == 1.0 and f"zeno {name}" in orbit.sequence:
+            yield f"elastic impacts have no Zeno point, but the orbit has the event `zeno {name}`"
+        elif shape is not None and shape.at_restitution(e) != shape:
+            at = f"at restitution {e:g} it is `{shape.at_restitution(e).text}`"
+            yield f"the orbit says that its shape is `{shape.text}`, but {at}"
+    if first is not None:
+        yield from (phrase for _, phrase in escapes_of(one.problem, largest_along(first)).values())
 
 
 @checked
@@ -265,35 +416,10 @@ def multipliers_of(
         InputError: If the orbit does not fit the problem.
         SimulationError: If the orbit does not return.
     """
-    settings = settings or VerificationSettings()
-    claim, dynamics = claim_of(orbit, problem), problem_dynamics(orbit, problem)
-    seen = observe(dynamics, claim, settings.simulation, 1)
-    if seen.first is None:
-        raise SimulationError(seen.trouble, time=claim.period, state=tuple(claim.start))
-    return _multipliers(dynamics, claim, seen.first, settings, seen)
-
-
-def _multipliers(
-    dynamics: HybridDynamics,
-    claim: Claim,
-    first: FirstCycle,
-    settings: VerificationSettings,
-    seen: Observation,
-) -> Multipliers:
-    return orbit_multipliers(
-        dynamics,
-        place_on_section(dynamics, claim.shape, claim.start),
-        scale=first.scale,
-        period=first.cycle.end.time,
-        settings=replace(settings.simulation, tolerance=_no_finer(settings.simulation.tolerance)),
-        noise=seen.integration_error * _SHARE,
-        shape=claim.shape,
-    )
-
-
-def _no_finer(tolerance: Tolerance) -> Tolerance:
-    """Return a tolerance sufficient for multipliers, of which eight digits are used."""
-    return Tolerance(
-        relative=max(tolerance.relative, _MULTIPLIERS),
-        absolute=max(tolerance.absolute, _MULTIPLIERS / 10),
-    )
+    simulation = (settings or VerificationSettings()).simulation
+    one = Material.of(orbit, problem, None)
+    run = followed(one.graph, one.claim, one.start, simulation, 1)
+    if not run.periods:
+        start = tuple(one.start.tolist())
+        raise SimulationError(run.trouble, time=one.claim.period, state=start)
+    return multipliers_along(one.graph, one.claim, run, simulation)

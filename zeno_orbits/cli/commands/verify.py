@@ -75,9 +75,8 @@ def add_verify(commands: Any) -> None:
 def _run_verify(options: argparse.Namespace) -> int:
 
     orbit = api.any_orbit(options.orbit)
-    is_event = not orbit.has_phases
-    _require_few_periods(options, len(orbit.events if is_event else orbit.phases))
-    if is_event:
+    _require_few_periods(options, len(orbit.events))
+    if not orbit.has_phases:
         require_verifiable(options)
     problem = api.problem_to_check(orbit, options.problem)
     settings = api.verification_settings(
@@ -87,11 +86,11 @@ def _run_verify(options: argparse.Namespace) -> int:
         n_periods=options.periods,
         use_reference=options.model == "reference",
     )
-    proved = None if is_event else proof_of(options, orbit, problem)
+    proved = proof_of(options, orbit, problem)
     with report.ProgressLine(options.interrupts.check) as progress:
         certificate = api.verify(orbit, problem=problem, settings=settings, on_progress=progress)
     _require_whole_run(certificate, options)
-    enclosure = None if is_event else _enclosure(options, orbit, problem, settings.tolerance)
+    enclosure = _enclosure(options, orbit, problem, settings.tolerance)
     if options.json:
         error = certificate.orbit_error
         accuracy = {"error": error if isfinite(error) else None} if options.accuracy else {}

@@ -23,6 +23,7 @@ from zeno_orbits.model.modes import GraphMode, ModeGraph
 from zeno_orbits.model.numeric.binding import bind
 from zeno_orbits.model.numeric.calls import Call
 from zeno_orbits.model.numeric.casadi_calls import caller
+from zeno_orbits.model.numeric.columns import Columns
 from zeno_orbits.model.numeric.compiled import CompiledSystem, compile_system
 from zeno_orbits.model.numeric.compiled_flow import (
     CompiledFlow,
@@ -81,6 +82,9 @@ class CompiledGraph:
     _gradients: dict[tuple[tuple[bool, ...], int], ca.Function] = field(
         default_factory=dict["tuple[tuple[bool, ...], int]", ca.Function], repr=False
     )
+    _powers: dict[GraphMode, Columns] = field(
+        default_factory=dict["GraphMode", Columns], repr=False
+    )
 
     def system(self, mode: GraphMode, stop: int) -> CompiledSystem:
         """Return the functions of a stop that is open in a mode."""
@@ -90,6 +94,30 @@ class CompiledGraph:
             made = compile_system(one, self.symbols, self.state_names)
             self._systems[key] = replace(made, starts=self.starts, state_units=self.state_units)
         return self._systems[key]
+
+    def powers(self, mode: GraphMode, rest: GraphMode, stop: int) -> Columns:
+        """Return ``(x, p) -> (input power, copper loss, other losses)`` [W] of a mode, for states.
+
+        Contact adds to the energy of the further states that it changes: a negative loss.
+
+        Args:
+            mode: The mode.
+            rest: The mode in which a stop is open.
+            stop: Index of the stop. Its locked flow is the flow of the mode, if the modes differ.
+        """
+        if mode not in self._powers:
+            graph, one = self.graph, system_of_stop(self.graph, rest, stop)
+            flow = one.free_flow if rest == mode else one.locked_flow
+            opened = system_of_stop(graph, ((), mode[1]), 0).free_flow
+            further = slice(2 * one.n_q, None)
+            added = (flow - opened)[further]
+            stored = ca.SX(0)
+            if added.numel():
+                stored = ca.jtimes(one.energy, graph.state[further], added)
+            powers = ca.vertcat(one.input_power, one.copper_loss, one.other_loss - stored)
+            inputs = [graph.state, self.parameters]
+            self._powers[mode] = Columns(dense_function("powers", inputs, [powers]))
+        return self._powers[mode]
 
     def guard(self, mode: GraphMode, switch: int, above: bool) -> ModeFunctions:
         """Return the flow of a mode with a switch's guard, or its negative, as the guard.
@@ -161,6 +189,11 @@ class CompiledGraph:
         apart = LEAST_PART * ca.mmax(upper)
         least = ca.vertcat(*(one.lower + apart for one in orders))
         return dense_function("times", [self.parameters], [lower, upper, least])
+
+    @cached_property
+    def switches_along(self) -> Columns:
+        """The functions of `switches`, for many states."""
+        return Columns(self.switches)
 
     @cached_property
     def arming(self) -> ca.Function:
@@ -403,6 +436,31 @@ class GraphDynamics:
         if not self.switch_names:
             return np.zeros(0), np.zeros(0), np.zeros(0)
         return self._switches(x, self.own.states(x.size) + np.abs(x), sides)
+
+    def guards_along(
+        self, states: Vector, sides: tuple[bool, ...]
+    ) -> tuple[Vector, Vector, Vector]:
+        """Return the same as `guards` at many states, ``(n, n_switches)`` each.
+
+        Args:
+            states: The states, ``(n, n_x)``.
+            sides: The side of every kink.
+        """
+        n, given = len(states), [self.p, np.array(sides, dtype=np.float64)]
+        p, side = (np.broadcast_to(one, (n, one.size)) for one in given)
+        sizes = self.own.states(states.shape[1]) + np.abs(states)
+        guards, sizes, armed = self.compiled.switches_along(states, p, sizes, side)
+        return guards, _ZERO * sizes, armed
+
+    def powers(self, mode: GraphMode, states: Vector) -> Vector:
+        """Return input power, copper loss and other losses at states of a mode, ``(n, 3)`` [W].
+
+        Args:
+            mode: The mode.
+            states: The states, ``(n, n_x)``.
+        """
+        p = np.broadcast_to(self.p, (len(states), self.p.size))
+        return self.compiled.powers(mode, *self.some_stop(mode))(states, p)[0]
 
     def slopes(self, x: Vector, sides: tuple[bool, ...]) -> Vector:
         """Return sizes of the derivatives of all guards with respect to the states.

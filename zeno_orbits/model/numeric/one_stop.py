@@ -14,18 +14,21 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 class OneStop(GraphDynamics):
     """The graph of a system that is given by functions, such as a hand-written model.
 
-    It has one mode, a stop without a name, and no switch.
+    It has one mode, one stop, and no switch.
     """
 
-    def __init__(self, dynamics: HybridDynamics) -> None:  # pyright: ignore[reportMissingSuperCall]
+    def __init__(  # pyright: ignore[reportMissingSuperCall]
+        self, dynamics: HybridDynamics, stop: str = ""
+    ) -> None:
         """Keep the system.
 
         Args:
             dynamics: The system.
+            stop: Name of its stop.
         """
         self._dynamics = dynamics
         self.state_names = dynamics.state_names
-        self.stop_names = ("",)
+        self.stop_names = (stop,)
         self.switch_names = ()
         self.n_declared = 0
         self.open_mode = (), ()
@@ -62,15 +65,21 @@ class OneStop(GraphDynamics):
         inputs = system.state, parameters
         return undefined_ahead(system.mechanism, system.drive, inputs, [x, *states], self.p)
 
+    def has_infinite_slope(self, x: Vector) -> bool:
+        """Return False: the roots of functions are unknown."""
+        del x
+        return False
+
     def delassus(self, x: Vector) -> Vector:
         r"""Return :math:`J W J^\top` of the stop, ``(1, 1)``."""
         return np.array([[1.0 / self._dynamics.normal_inertia(x)]])
 
 
-def graph_of(system: HybridDynamics | GraphDynamics) -> GraphDynamics:
+def graph_of(system: HybridDynamics | GraphDynamics, stop: str = "") -> GraphDynamics:
     """Return a system as a graph of modes.
 
     Args:
         system: The system, or its graph.
+        stop: Name of the stop of a system that is not a graph.
     """
-    return OneStop(system) if isinstance(system, HybridDynamics) else system
+    return OneStop(system, stop) if isinstance(system, HybridDynamics) else system

@@ -20,6 +20,11 @@ MARGINS: Mapping[str, tuple[str, str]] = {
         "how fast the first impact is. At zero the part would only graze the stop",
         "{speed}",
     ),
+    "later_impact_speed": (
+        "how much of the speed after an impact the next impact has. At zero it would only graze "
+        "the stop",
+        "1",
+    ),
     "release_transversality": (
         "how fast the contact force falls at the release. At zero the release is not transversal",
         "{force_rate}",
@@ -30,6 +35,7 @@ MARGINS: Mapping[str, tuple[str, str]] = {
     ),
     "lets_go": ("how fast the part leaves a stop that does not hold it", "{acceleration}"),
     "phases_apart": ("how much the flights of a period differ. At zero the period is shorter", "1"),
+    "events_apart": ("the shortest time between two events. At zero their order changes", "s"),
     "locked_time": ("how long the part rests on its stop. At zero it would never rest", "s"),
 }
 """Meaning and unit of each margin by name. In the unit, ``{speed}`` and ``{acceleration}`` stand
@@ -206,15 +212,10 @@ def _one_zeno_point(orbit: Orbit, zeno: float) -> str:
 def stability(certificate: OrbitCertificate) -> str:
     """Return the effect of a small disturbance in words: the derivative of the return map."""
     radius = certificate.spectral_radius
-    if certificate.stable and not certificate.multipliers and certificate.events:
+    if certificate.stable and not certificate.multipliers:
         return (
             "The conditions of the event at which the period starts determine its state: after a "
             "sufficiently small disturbance, the next such event has the same state."
-        )
-    if certificate.stable and not certificate.multipliers:
-        return (
-            "The conditions of the release determine its state: after a sufficiently small "
-            "disturbance, the next release has the same state."
         )
     if certificate.stable:
         return (

@@ -286,7 +286,7 @@ _SHOWN = {
 
 
 def print_event_quantities(certificate: OrbitCertificate) -> None:
-    """Print the quantities of every stop that is struck, if the orbit is given by its events.
+    """Print the quantities of every stop that is struck.
 
     Args:
         certificate: The certificate.

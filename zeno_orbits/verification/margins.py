@@ -7,10 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
-from zeno_orbits.arrays import Vector
+import numpy as np
+
+from zeno_orbits.arrays import Scalar, Vector
 from zeno_orbits.model import GraphDynamics
-from zeno_orbits.orbits import EventQuantities, EventReturn, fall_at
+from zeno_orbits.orbits import (
+    EventQuantities,
+    EventReturn,
+    fall_at,
+    orbit_event_name,
+    phases_of_events,
+    sequence_of,
+)
 from zeno_orbits.simulation import (
     Arc,
     Event,
@@ -19,7 +29,10 @@ from zeno_orbits.simulation import (
     SwitchEvent,
     ZenoPoint,
     extent_of,
+    state_after,
 )
+from zeno_orbits.verification.energies import struck_view
+from zeno_orbits.verification.integration import Period
 
 SHARE = "margin"
 """Name of the smallest share."""
@@ -30,41 +43,94 @@ EVENT_MARGINS = (
     "switch_transversality",
     "locked_time",
 )
-"""Distances to the loss of an event, as in a certificate."""
+"""Distances to the loss of an event that a search can bound."""
+_FURTHER = ("later_impact_speed", "lets_go", "events_apart", "phases_apart")
+"""Further distances, in a certificate."""
+_SAME = 1e-6
+"""Relative distance below which two states are equal: the accuracy of an orbit."""
 
 
-def event_margins(
+def margins_of(
+    graph: GraphDynamics, start: Vector, period: Period, scale: Vector
+) -> dict[str, float]:
+    """Return the distances to the loss of an event, the smallest of each kind that occurs.
+
+    ``later_impact_speed`` is the speed of an impact relative to the speed after the impact before
+    it in its sequence. ``lets_go`` is d2h/dt2 after a plastic impact without contact.
+    ``events_apart`` is the least time between events, where impacts belong to their Zeno point.
+    ``phases_apart`` is the distance of the start from the state after a part of the events that
+    repeats. It is 0 if both are equal to the accuracy of an orbit: the period then consists of
+    several shorter periods.
+
+    Args:
+        graph: The graph of modes.
+        start: State at the start of the period, ``(n_x,)``.
+        period: The period.
+        scale: Size of each state, ``(n_x,)``.
+    """
+    found = _at_events(graph, start, period.events, period.arcs, period.duration)
+    phases = phases_of_events([orbit_event_name(event) for event in period.events])
+    apart, before = list[float](), period.start
+    for phase in phases:
+        first, last = period.events[phase[0]], period.events[phase[-1]]
+        if first.time > before:
+            apart.append(first.time - before)
+        before = last.time
+        found["later_impact_speed"] += _kept_speeds(graph, [period.events[k] for k in phase])
+        if isinstance(last, Impact):
+            view = struck_view(graph, period, last)
+            if view.restitution == 0.0:
+                found["lets_go"].append(view.gap_acceleration(last.state_plus))
+    found["events_apart"] += apart
+    found["phases_apart"] += _shorter_periods(start, period, scale)
+    return {name: float(min(values)) for name, values in found.items() if values}
+
+
+def _at_events(
     graph: GraphDynamics,
     start: Vector,
     events: Sequence[Event],
     arcs: Sequence[Arc],
     period: float,
-) -> dict[str, float]:
-    """Return the distances to the loss of an event, the smallest of each kind that occurs.
-
-    Args:
-        graph: The graph of modes.
-        start: State at the start of the period, ``(n_x,)``.
-        events: Events of the period. The last event ends it.
-        arcs: Its arcs.
-        period: The period [s].
-    """
-    found: dict[str, list[float]] = {}
-
-    def keep(name: str, value: float | None) -> None:
-        if value is not None:
-            found.setdefault(name, []).append(value)
-
+) -> dict[str, list[float]]:
+    """Return the margins of single events and contacts, by name."""
+    found: dict[str, list[float]] = {name: [] for name in (*EVENT_MARGINS, *_FURTHER)}
     for impact in _first_impacts(graph, start, events, period):
-        keep("first_impact_speed", -impact.approach_rate)
+        found["first_impact_speed"].append(-impact.approach_rate)
     for contact in _contacts(graph, events, arcs):
-        keep("gap_acceleration", contact.push)
-        keep("locked_time", contact.duration)
+        found["gap_acceleration"].append(contact.push)
+        found["locked_time"].append(contact.duration)
     for event in events:
         if isinstance(event, Release | SwitchEvent):
-            what = "release" if isinstance(event, Release) else "switch"
-            keep(f"{what}_transversality", fall_at(graph, arcs, event))
-    return {name: min(found[name]) for name in EVENT_MARGINS if name in found}
+            fall = fall_at(graph, arcs, event)
+            found[f"{event.kind.word}_transversality"] += [] if fall is None else [fall]
+    return found
+
+
+def _kept_speeds(graph: GraphDynamics, events: Sequence[Event]) -> list[float]:
+    """Return the ratio of impact speed to initial speed of every flight of a phase.
+
+    It tends to one as impacts accumulate, and to zero only if an impact grazes.
+    """
+    impacts = [event for event in events if isinstance(event, Impact)]
+    kept: list[float] = []
+    for one, other in pairwise(impacts):
+        view = graph.view(graph.open_mode, graph.stop_names.index(one.stop))
+        if view.restitution > 0.0:
+            kept.append(-other.approach_rate / view.speed_after(one.approach_rate))
+    return kept
+
+
+def _shorter_periods(start: Vector, period: Period, scale: Vector) -> list[float]:
+    """Return the distances of a period from several periods of each shorter event sequence."""
+    names = [orbit_event_name(event) for event in period.events]
+    sequence, found = sequence_of(names), list[float]()
+    ends = [phase[-1] for phase in phases_of_events(names)]
+    for k in range(1, len(sequence)):
+        if len(sequence) % k == 0 and sequence[:k] * (len(sequence) // k) == sequence:
+            away = np.max(np.abs(state_after(period.events[ends[k - 1]]) - start) / scale)
+            found.append(float(away) if away > _SAME else 0.0)
+    return found
 
 
 def measured_margin(name: str, graph: GraphDynamics, found: EventReturn) -> float | None:
@@ -78,7 +144,8 @@ def measured_margin(name: str, graph: GraphDynamics, found: EventReturn) -> floa
     arcs = [arc for arc in found.execution.arcs if arc.start_time < found.period]
     if name == SHARE:
         return smallest_event_share(graph, found.start, found.events, arcs, found.period)
-    return event_margins(graph, found.start, found.events, arcs, found.period).get(name)
+    values = _at_events(graph, found.start, found.events, arcs, found.period)[name]
+    return min(values, default=None)
 
 
 def smallest_event_share(
@@ -122,12 +189,17 @@ class _Contact:
     Attributes:
         duration: Its duration [s].
         push: Minus the gap acceleration at the Zeno point.
-        largest_push: Largest modulus of the gap acceleration in the phase.
+        pushes: Gap acceleration of the stop in each arc of the phase.
     """
 
     duration: float
     push: float
-    largest_push: float
+    pushes: tuple[tuple[Scalar, Arc], ...]
+
+    @property
+    def largest_push(self) -> float:
+        """Largest modulus of the gap acceleration in the phase."""
+        return max(extent_of(push, [arc]).largest for push, arc in self.pushes)
 
 
 def _first_impacts(
@@ -162,15 +234,12 @@ def _contacts(
         if not held:
             continue
         stop = graph.stop_names.index(event.stop)
-        pushes = [
-            extent_of(graph.holding(arc.mode_in(graph), stop).gap_acceleration, [arc])
-            for arc in held
-        ]
+        pushes = [(graph.holding(arc.mode_in(graph), stop).gap_acceleration, arc) for arc in held]
         mode = held[0].mode_in(graph)
         yield _Contact(
             duration=sum(arc.duration for arc in held),
             push=-graph.holding(mode, stop).gap_acceleration(event.state),
-            largest_push=max(one.largest for one in pushes),
+            pushes=tuple(pushes),
         )
 
 
