@@ -15,7 +15,7 @@ from tests.support.processes import Commands
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import SearchResult, orbit_at_gains
-from zeno_orbits.verification import OrbitCertificate, problem_dynamics, verify
+from zeno_orbits.verification import OrbitCertificate, verify
 
 # A shell makes its background jobs ignore interrupts, and their commands would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -59,7 +59,7 @@ def orbit(found: SearchResult) -> Orbit:
 @pytest.fixture(scope="session")
 def machine(orbit: Orbit, problem: Problem) -> HybridDynamics:
     """The motor pendulum at the published gains, as numeric functions."""
-    return problem_dynamics(orbit, problem)
+    return problem.dynamics(orbit.values(problem))
 
 
 @pytest.fixture(scope="session")

@@ -31,7 +31,7 @@ from zeno_orbits.orbits import Orbit, read_orbit, write_orbit
 from zeno_orbits.precision import TimedSetting, WorkPrecision, read_work_precision
 from zeno_orbits.report.page import Subject, load_bundle, page_of, words
 from zeno_orbits.search import orbit_at_gains
-from zeno_orbits.verification import RESIDUALS, OrbitCertificate, problem_dynamics, verify
+from zeno_orbits.verification import RESIDUALS, OrbitCertificate, verify
 
 YES, NO, MISUSE = 0, 1, 2
 ONE = ("--periods", "1")
@@ -736,7 +736,7 @@ def test_pages_of_other_orbits_open_too(
 ) -> None:
     problem = load_problem(name)
     orbit = orbit_at_gains(problem, problem.values(parameters=parameters)).unwrap()
-    dynamics = problem_dynamics(orbit, problem)
+    dynamics = problem.dynamics(orbit.values(problem))
     certificate = verify(orbit, problem)
     subject = Subject(orbit=orbit, problem=problem, dynamics=dynamics, certificate=certificate)
     path = tmp_path / "report.html"

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from zeno_orbits.api import Verified
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import Problem, load_problem
+from zeno_orbits.model import Problem, load_problem, load_reference
 from zeno_orbits.orbits import Bound, Orbit, orbit_multipliers
 from zeno_orbits.search import (
     OBJECTIVES,
@@ -38,7 +38,7 @@ from zeno_orbits.search import (
     search_orbits,
 )
 from zeno_orbits.simulation import SimulationSettings, simulate
-from zeno_orbits.verification import OrbitCertificate, measure, problem_dynamics
+from zeno_orbits.verification import OrbitCertificate, measure
 
 ONCE = SearchSettings(n_starts=0)
 OPTIMAL = 1e-5
@@ -174,7 +174,7 @@ def test_the_fastest_contraction_is_that_of_a_scan(problem: Problem) -> None:
     )
     assert result.candidates[0].score == pytest.approx(min(scan), rel=1e-3)
     orbit = result.unwrap()
-    dynamics = problem_dynamics(orbit, problem)
+    dynamics = problem.dynamics(orbit.values(problem))
     multipliers = orbit_multipliers(
         dynamics,
         dynamics.on_stop(np.array(list(orbit.release_state.values()))),
@@ -200,7 +200,7 @@ def test_a_bound_on_an_angle_is_active_and_held_at_all_times(problem: Problem) -
         settings=ONCE,
     )
     orbit = result.unwrap()
-    dynamics = problem_dynamics(orbit, problem, use_reference=True)
+    dynamics = load_reference(problem).dynamics(orbit.values(problem))
     start = dynamics.on_stop(np.array(list(orbit.release_state.values())))
     run = simulate(dynamics, start, until=1.2 * orbit.period)
     times = np.linspace(0.0, orbit.period, 20_001)

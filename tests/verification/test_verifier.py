@@ -662,7 +662,8 @@ def test_a_later_period_that_goes_elsewhere_fails_alone(orbit: Orbit, problem: P
 def test_a_power_that_the_motion_does_not_take_fails_alone(orbit: Orbit, problem: Problem) -> None:
     def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         system = problem.model(p)
-        return replace(system, input_power=(1 + 1e-6) * system.input_power)
+        drive = replace(system.drive, input_power=(1 + 1e-6) * system.drive.input_power)
+        return replace(system, drive=drive)
 
     seen = verify(orbit, replace(problem, model=model, reference=None), settings=QUICK)
     assert seen.failed == ("energy_balance",)

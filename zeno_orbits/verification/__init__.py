@@ -8,7 +8,8 @@ model), `margins`, `multipliers` and `certificate`. `verifier` combines them. `m
 computes the range of a quantity along an orbit.
 
 Offers: `verify`, `multipliers_of`, `VerificationSettings`, `OrbitCertificate`, `CHECKS`,
-`RESIDUALS`, `with_certificate`, `problem_dynamics`; `measure`, `require_quantities`.
+`RESIDUALS`, `with_certificate`; `measure`, `require_quantities`; `EVENT_MARGINS`,
+`measured_margin`.
 
 Imports: orbits, simulation, model, integrators, work, arrays, errors. Never search,
 continuation, maps, experiment or precision.

@@ -10,5 +10,4 @@ from .measurement import require_quantities as require_quantities
 from .verifier import VerificationSettings as VerificationSettings
 from .verifier import with_certificate as with_certificate
 from .verifier import multipliers_of as multipliers_of
-from .verifier import problem_dynamics as problem_dynamics
 from .verifier import verify as verify

@@ -11,12 +11,12 @@ from zeno_orbits.errors import InputError, SimulationError, not_known
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.simulation import Extent, SimulationSettings, extent_of, signal, signal_names
+from zeno_orbits.verification.claim import Case
 from zeno_orbits.verification.energies import energies_of
 from zeno_orbits.verification.integration import Run, followed
 from zeno_orbits.verification.margins import margins_of, smallest_event_share
 from zeno_orbits.verification.multipliers import multipliers_along
 from zeno_orbits.verification.residuals import sizes_along
-from zeno_orbits.verification.verifier import Material
 
 MARGINS = ("gap_acceleration", "first_impact_speed", "release_transversality", "locked_time")
 """Distances to loss of existence of an orbit, as in its certificate."""
@@ -68,7 +68,7 @@ def measure(
     """
     require_quantities(names, problem, "names")
     simulation = simulation or SimulationSettings()
-    one = Material.of(orbit, problem, None)
+    one = Case.of(orbit, problem, None)
     run = followed(one.graph, one.claim, one.start, simulation, 1)
     if not run.periods:
         raise SimulationError(run.trouble, time=0.0, state=tuple(one.start.tolist()))
@@ -82,7 +82,7 @@ def measure(
     return found
 
 
-def _number(name: str, one: Material, run: Run, simulation: SimulationSettings) -> Extent:
+def _number(name: str, one: Case, run: Run, simulation: SimulationSettings) -> Extent:
     error, first, graph = 0.0, run.periods[0], one.graph
     if name == "period":
         value = first.end

@@ -65,12 +65,13 @@ def multipliers_along(
     if graph.first.differentiation is None:
         return _by_differences(graph, claim, run, settings, noise)
     found = _return_of(graph, run, settings)
-    again = followed(graph, claim, found.end, relaxed_tolerance(settings), 1)
     values, others = multipliers_of_return(graph, found), tuple[complex, ...]()
-    if again.periods:
-        with suppress(ZenoOrbitsError):
-            slope = derivative_of_return(graph, _return_of(graph, again, settings))[2]
-            others = eigenvalues(slope)[: len(values)]
+    if values:
+        again = followed(graph, claim, found.end, relaxed_tolerance(settings), 1)
+        if again.periods:
+            with suppress(ZenoOrbitsError):
+                slope = derivative_of_return(graph, _return_of(graph, again, settings))[2]
+                others = eigenvalues(slope)[: len(values)]
     event, section, jacobian = derivative_of_return(graph, found)
     errors = estimated_errors(values, others, _LEAST)
     if is_one_sided(graph, found) or _meets_a_root(graph, found):

@@ -13,8 +13,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError, require_counts
-from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, graph_of, load_reference
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError, require_counts
+from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import (
     EventQuantities,
     Multipliers,
@@ -25,14 +25,14 @@ from zeno_orbits.orbits import (
 )
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
-from zeno_orbits.verification.claim import Claim, Contact, claim_of
+from zeno_orbits.verification.claim import Case
 from zeno_orbits.verification.cross_checks import (
     accumulations_of,
     cut_order,
     delta_sweep,
     second_model,
 )
-from zeno_orbits.verification.energies import PeriodEnergies, energies_of
+from zeno_orbits.verification.energies import EXACT, QUICK, PeriodEnergies, energies_of
 from zeno_orbits.verification.integration import (
     Period,
     Run,
@@ -88,64 +88,6 @@ _SHORTER_TAIL = 1e-2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Material:
-    """An orbit to be verified, and the machines on which it is.
-
-    Attributes:
-        orbit: The orbit.
-        problem: Its problem.
-        claim: The orbit as vectors.
-        graph: The machine to integrate.
-        own: The machine of the problem, with its powers and energies.
-        contacts: The stops that the orbit touches at the start of its period.
-        start: Start of the integration: the claimed start moved onto its section, ``(n_x,)``.
-    """
-
-    orbit: Orbit
-    problem: Problem
-    claim: Claim
-    graph: GraphDynamics
-    own: GraphDynamics
-    contacts: tuple[Contact, ...]
-    start: Vector
-
-    @classmethod
-    def of(
-        cls,
-        orbit: Orbit,
-        problem: Problem,
-        dynamics: HybridDynamics | GraphDynamics | None,
-        *,
-        use_reference: bool = False,
-    ) -> Material:
-        """Return the material of a verification.
-
-        Raises:
-            InputError: If the orbit does not fit the problem.
-        """
-        claim, values = claim_of(orbit, problem), orbit.values(problem)
-        own = problem.graph_dynamics(values)
-        if dynamics is None and use_reference:
-            dynamics = load_reference(problem).dynamics(values)
-        graph = own if dynamics is None else graph_of(dynamics, "".join(own.stop_names[:1]))
-        if (graph.state_names, graph.stop_names) != (own.state_names, own.stop_names):
-            wanted = f"must have the states and stops of problem `{problem.name}`"
-            raise InputError(f"Argument `dynamics` {wanted}.")
-        contacts, start = claim.contacts(graph), claim.start
-        for contact in contacts:
-            start = contact.placed(start)
-        return cls(
-            orbit=orbit,
-            problem=problem,
-            claim=claim,
-            graph=graph,
-            own=own,
-            contacts=tuple(contacts),
-            start=start,
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _Observation:
     """The integrated orbit.
 
@@ -194,7 +136,7 @@ def verify(
         InputError: If the orbit does not fit the problem.
     """
     asked = settings or VerificationSettings()
-    one = Material.of(orbit, problem, dynamics, use_reference=asked.use_reference)
+    one = Case.of(orbit, problem, dynamics, use_reference=asked.use_reference)
     on_progress("integrating the orbit", None)
 
     def observed(simulation: SimulationSettings) -> _Observation:
@@ -244,18 +186,17 @@ def verify(
     )
 
 
-def _observed(one: Material, settings: VerificationSettings) -> _Observation:
+def _observed(one: Case, settings: VerificationSettings) -> _Observation:
     """Return the integrated orbit with the residuals of the integration itself."""
     graph, claim, n_periods = one.graph, one.claim, settings.n_periods
     run = followed(graph, claim, one.start, settings.simulation, n_periods)
     if not run.periods:
         return _Observation(run=run, scale=one.start[:0], residuals=nothing_returns(claim))
     first, scale = run.periods[0], sizes_along(run.periods[0], graph, one.problem)
-    drift = max(distance(period.state, claim.start, scale) for period in run.periods)
-    misses = event_misses(graph, claim, first, scale) | {
-        "period": abs(first.end - claim.period) / claim.period,
-        "drift": drift if len(run.periods) == n_periods else math.inf,
-    }
+    misses = event_misses(graph, claim, first, scale)
+    misses["period"] = abs(first.end - claim.period) / claim.period
+    if len(run.periods) == n_periods:
+        misses["drift"] = max(distance(one.state, claim.start, scale) for one in run.periods)
     blur = time_blur(first.arcs, graph, first.end, scale)
     residuals = {
         **{name: max(0.0, miss - blur) for name, miss in misses.items()},
@@ -288,7 +229,7 @@ class _CrossChecks:
 
 
 def _cross_checks(
-    one: Material,
+    one: Case,
     seen: _Observation,
     first: Period,
     settings: VerificationSettings,
@@ -306,12 +247,11 @@ def _cross_checks(
     if sweep:
         residuals["delta_sweep"] = sweep[-1].error
     on_progress("balancing the energy", None)
-    energies: Mapping[str, float] = {}
+    found: PeriodEnergies | None = None
     with suppress(ZenoOrbitsError):
         found = _energies(one, first, settings)
-        energies = found.values
-        if _is_balanced(one.own):
-            residuals["energy_balance"] = found.imbalance
+    if _is_balanced(one.own):
+        residuals["energy_balance"] = found.imbalance if found else math.inf
     if problem.reference is not None and len(one.own.stop_names) == 1:
         on_progress("comparing two derivations of the model", None)
         by_hand = load_reference(problem).dynamics(one.orbit.values(problem))
@@ -329,19 +269,21 @@ def _cross_checks(
     return _CrossChecks(
         residuals=residuals,
         margins=margins_of(graph, one.start, first, seen.scale),
-        energies=energies,
+        energies=found.values if found else {},
         quantities={name: (q.lowest, q.highest) for name, q in quantities.table().items()},
         sweep=sweep,
     )
 
 
-def _energies(one: Material, first: Period, settings: VerificationSettings) -> PeriodEnergies:
+def _energies(one: Case, first: Period, settings: VerificationSettings) -> PeriodEnergies:
     """Return the energies of the first period.
 
-    The powers inside a tail are interpolated. If the balance does not close, impacts are resolved
-    to a lower speed.
+    If the balance does not close, powers are integrated more exactly, then impacts are resolved to
+    a lower speed: the powers inside a tail are interpolated.
     """
-    found = energies_of(one.own, first, one.start)
+    found = energies_of(one.own, first, one.start, QUICK)
+    if found.imbalance > _SHARE * settings.tolerance:
+        found = energies_of(one.own, first, one.start, EXACT)
     if found.imbalance <= settings.tolerance or not first.zeno_points:
         return found
     rule = extrapolated(settings.simulation)
@@ -356,7 +298,7 @@ def _is_balanced(graph: GraphDynamics) -> bool:
     return graph.compiled.system(graph.open_mode, 0).is_balanced
 
 
-def _contradictions(one: Material, first: Period | None) -> Iterator[str]:
+def _contradictions(one: Case, first: Period | None) -> Iterator[str]:
     """Yield clauses on false statements in an orbit's data, and on coordinates that escape."""
     orbit, shape = one.orbit, one.orbit.phases_as
     if other := other_equations(orbit.problem_digest, one.problem):
@@ -382,26 +324,6 @@ def with_certificate(orbit: Orbit, certificate: OrbitCertificate) -> Orbit:
     )
 
 
-def problem_dynamics(
-    orbit: Orbit, problem: Problem, *, use_reference: bool = False
-) -> HybridDynamics:
-    """Return the system of an orbit, derived from energies or written by hand.
-
-    Args:
-        orbit: The orbit. The system has its gains and parameters.
-        problem: Its problem.
-        use_reference: Use the problem's hand-written model.
-
-    Raises:
-        InputError: If the orbit's parameter values do not fit the problem, or the problem does not
-            have a hand-written model.
-    """
-    values = orbit.values(problem)
-    if use_reference:
-        return load_reference(problem).dynamics(values)
-    return problem.dynamics(values)
-
-
 def multipliers_of(
     orbit: Orbit, problem: Problem, *, settings: VerificationSettings | None = None
 ) -> Multipliers:
@@ -417,7 +339,7 @@ def multipliers_of(
         SimulationError: If the orbit does not return.
     """
     simulation = (settings or VerificationSettings()).simulation
-    one = Material.of(orbit, problem, None)
+    one = Case.of(orbit, problem, None)
     run = followed(one.graph, one.claim, one.start, simulation, 1)
     if not run.periods:
         start = tuple(one.start.tolist())
