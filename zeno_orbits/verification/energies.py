@@ -52,15 +52,12 @@ class PeriodEnergies:
         return abs(self.values["input_work"] - spent) / size if size > 0.0 else 0.0
 
 
-def energies_of(
-    graph: GraphDynamics, period: Period, start: Vector, rule: Rule = EXACT
-) -> PeriodEnergies:
+def energies_of(graph: GraphDynamics, period: Period, rule: Rule = EXACT) -> PeriodEnergies:
     """Return the energies of one period. ``switch_loss`` exists if there are switches.
 
     Args:
         graph: The graph of modes of the problem, with its powers and energies.
         period: The period.
-        start: State at its start, ``(n_x,)``.
         rule: The rule by which powers are integrated.
     """
     first = graph.first
@@ -73,7 +70,7 @@ def energies_of(
         "copper_loss": float(net[1]),
         "other_loss": float(net[2]),
         "impact_loss": float(lost),
-        "energy_gain": first.energy(period.state) - first.energy(start),
+        "energy_gain": first.energy(period.state) - first.energy(period.begin),
     }
     if switches:
         found["switch_loss"] = sum(

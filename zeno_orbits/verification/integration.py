@@ -14,6 +14,7 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits import (
     LOOSER,
+    EventQuantities,
     caused_releases,
     extrapolated,
     orbit_event_name,
@@ -43,6 +44,7 @@ class Period:
         arcs: Its arcs.
         start: Time of its start [s].
         end: Time of its end [s].
+        begin: State at its start, ``(n_x,)``.
         state: State just after its last event, ``(n_x,)``.
     """
 
@@ -51,6 +53,7 @@ class Period:
     arcs: tuple[Arc, ...]
     start: float
     end: float
+    begin: Vector
     state: Vector
 
     @property
@@ -67,6 +70,15 @@ class Period:
     def zeno_points(self) -> list[ZenoPoint]:
         """Its Zeno points."""
         return [event for event in self.events if isinstance(event, ZenoPoint)]
+
+    def quantities(self, graph: GraphDynamics) -> EventQuantities:
+        """Return the quantities of its events.
+
+        Args:
+            graph: The graph of modes.
+        """
+        events = (*self.events, *self.opened)
+        return EventQuantities(graph=graph, start=self.begin, period=self.duration, events=events)
 
     def arc_before(self, event: Event) -> Arc:
         """Return the arc that ends at an event."""
@@ -171,25 +183,26 @@ def followed(
     # A period that is claimed too long ends with its events.
     releases = claim.count("release")
     impacts = 0 if claim.count("zeno") else claim.count("impact")
+
+    def simulated(until: float, more: int) -> Execution:
+        return simulate(
+            graph,
+            x,
+            until=until,
+            releases=more * (n_periods * releases + 2) if releases else None,
+            impacts=more * (n_periods * impacts + 2) if impacts else None,
+            settings=exact,
+        )
+
     for beyond, more in ((_BEYOND * n_periods, 1), (_LATE, _MORE)):
         until = min((n_periods + beyond) * claim.period, _LONGEST)
         try:
-            execution, trouble = (
-                simulate(
-                    graph,
-                    x,
-                    until=until,
-                    releases=more * (n_periods * releases + 2) if releases else None,
-                    impacts=more * (n_periods * impacts + 2) if impacts else None,
-                    settings=exact,
-                ),
-                "",
-            )
+            execution, trouble = simulated(until, more), ""
         except SimulationError as error:
             execution, trouble = error.execution, str(error).removesuffix(".")
         except InputError as error:
             return Run(start=x, execution=None, periods=(), trouble=str(error).removesuffix("."))
-        periods = [] if execution is None else list(_periods(execution, claim))
+        periods = [] if execution is None else list(_periods(execution, claim, x))
         if trouble or len(periods) >= n_periods:
             break
         trouble = (
@@ -199,7 +212,7 @@ def followed(
     return Run(start=x, execution=execution, periods=tuple(periods[:n_periods]), trouble=trouble)
 
 
-def _periods(execution: Execution, claim: Claim) -> Iterator[Period]:
+def _periods(execution: Execution, claim: Claim, x: Vector) -> Iterator[Period]:
     """Yield the periods of an execution, each ended by its n-th event of the section."""
     begin, count, first, events = 0.0, 0, 0, execution.events
     at_once = _AT_ONCE * claim.period if claim.starts_at_release else 0.0
@@ -218,8 +231,10 @@ def _periods(execution: Execution, claim: Claim) -> Iterator[Period]:
                 arcs=tuple(a for a in execution.arcs if begin <= a.start_time < event.time),
                 start=begin,
                 end=event.time,
+                begin=x,
                 state=state_after(event),
             )
+            x = state_after(event)
             begin, first = event.time, place + 1 + len(opened)
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from zeno_orbits.arrays import Scalar, Vector
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits import (
-    EventQuantities,
     EventReturn,
     fall_at,
     orbit_event_name,
@@ -27,7 +26,6 @@ from zeno_orbits.simulation import (
     Impact,
     Release,
     SwitchEvent,
-    ZenoPoint,
     extent_of,
     state_after,
 )
@@ -50,9 +48,7 @@ _SAME = 1e-6
 """Relative distance below which two states are equal: the accuracy of an orbit."""
 
 
-def margins_of(
-    graph: GraphDynamics, start: Vector, period: Period, scale: Vector
-) -> dict[str, float]:
+def margins_of(graph: GraphDynamics, period: Period, scale: Vector) -> dict[str, float]:
     """Return the distances to the loss of an event, the smallest of each kind that occurs.
 
     ``later_impact_speed`` is the speed of an impact relative to the speed after the impact before
@@ -64,11 +60,10 @@ def margins_of(
 
     Args:
         graph: The graph of modes.
-        start: State at the start of the period, ``(n_x,)``.
         period: The period.
         scale: Size of each state, ``(n_x,)``.
     """
-    found = _at_events(graph, start, period.events, period.arcs, period.duration)
+    found = _at_events(graph, period)
     phases = phases_of_events([orbit_event_name(event) for event in period.events])
     apart, before = list[float](), period.start
     for phase in phases:
@@ -82,27 +77,21 @@ def margins_of(
             if view.restitution == 0.0:
                 found["lets_go"].append(view.gap_acceleration(last.state_plus))
     found["events_apart"] += apart
-    found["phases_apart"] += _shorter_periods(start, period, scale)
+    found["phases_apart"] += _shorter_periods(period, scale)
     return {name: float(min(values)) for name, values in found.items() if values}
 
 
-def _at_events(
-    graph: GraphDynamics,
-    start: Vector,
-    events: Sequence[Event],
-    arcs: Sequence[Arc],
-    period: float,
-) -> dict[str, list[float]]:
+def _at_events(graph: GraphDynamics, period: Period) -> dict[str, list[float]]:
     """Return the margins of single events and contacts, by name."""
     found: dict[str, list[float]] = {name: [] for name in (*EVENT_MARGINS, *_FURTHER)}
-    for impact in _first_impacts(graph, start, events, period):
+    for impact in _first_impacts(graph, period):
         found["first_impact_speed"].append(-impact.approach_rate)
-    for contact in _contacts(graph, events, arcs):
+    for contact in _contacts(graph, period):
         found["gap_acceleration"].append(contact.push)
         found["locked_time"].append(contact.duration)
-    for event in events:
+    for event in period.events:
         if isinstance(event, Release | SwitchEvent):
-            fall = fall_at(graph, arcs, event)
+            fall = fall_at(graph, period.arcs, event)
             found[f"{event.kind.word}_transversality"] += [] if fall is None else [fall]
     return found
 
@@ -121,14 +110,14 @@ def _kept_speeds(graph: GraphDynamics, events: Sequence[Event]) -> list[float]:
     return kept
 
 
-def _shorter_periods(start: Vector, period: Period, scale: Vector) -> list[float]:
+def _shorter_periods(period: Period, scale: Vector) -> list[float]:
     """Return the distances of a period from several periods of each shorter event sequence."""
     names = [orbit_event_name(event) for event in period.events]
     sequence, found = sequence_of(names), list[float]()
     ends = [phase[-1] for phase in phases_of_events(names)]
     for k in range(1, len(sequence)):
         if len(sequence) % k == 0 and sequence[:k] * (len(sequence) // k) == sequence:
-            away = np.max(np.abs(state_after(period.events[ends[k - 1]]) - start) / scale)
+            away = np.max(np.abs(state_after(period.events[ends[k - 1]]) - period.begin) / scale)
             found.append(float(away) if away > _SAME else 0.0)
     return found
 
@@ -141,20 +130,21 @@ def measured_margin(name: str, graph: GraphDynamics, found: EventReturn) -> floa
         graph: The graph of modes.
         found: The return.
     """
-    arcs = [arc for arc in found.execution.arcs if arc.start_time < found.period]
+    period = Period(
+        events=found.events,
+        opened=found.opened,
+        arcs=tuple(arc for arc in found.execution.arcs if arc.start_time < found.period),
+        start=0.0,
+        end=found.period,
+        begin=found.start,
+        state=found.end,
+    )
     if name == SHARE:
-        return smallest_event_share(graph, found.start, found.events, arcs, found.period)
-    values = _at_events(graph, found.start, found.events, arcs, found.period)[name]
-    return min(values, default=None)
+        return smallest_share(graph, period)
+    return min(_at_events(graph, period)[name], default=None)
 
 
-def smallest_event_share(
-    graph: GraphDynamics,
-    start: Vector,
-    events: Sequence[Event],
-    arcs: Sequence[Arc],
-    period: float,
-) -> float | None:
+def smallest_share(graph: GraphDynamics, period: Period) -> float | None:
     r"""Return the smallest margin of all contacts, relative to its largest possible value.
 
     The contact duration is relative to the period. :math:`-\ddot h` at a Zeno point is relative to
@@ -163,22 +153,19 @@ def smallest_event_share(
 
     Args:
         graph: The graph of modes.
-        start: State at the start of the period, ``(n_x,)``.
-        events: Events of the period. The last event ends it.
-        arcs: Its arcs.
-        period: The period [s].
+        period: The period.
 
     Returns:
         The share, or ``None`` if no stop is struck.
     """
     shares: list[float] = []
-    for impact in _first_impacts(graph, start, events, period):
+    for impact in _first_impacts(graph, period):
         view = graph.view(graph.open_mode, graph.stop_names.index(impact.stop))
-        flight = _flight_to(impact, events, arcs)
+        flight = _flight_to(impact, period)
         if flight:
             shares.append(-impact.approach_rate / extent_of(view.gap_rate, flight).largest)
-    for contact in _contacts(graph, events, arcs):
-        shares += [contact.duration / period, contact.push / contact.largest_push]
+    for contact in _contacts(graph, period):
+        shares += [contact.duration / period.duration, contact.push / contact.largest_push]
     return min(shares, default=None)
 
 
@@ -202,29 +189,24 @@ class _Contact:
         return max(extent_of(push, [arc]).largest for push, arc in self.pushes)
 
 
-def _first_impacts(
-    graph: GraphDynamics, start: Vector, events: Sequence[Event], period: float
-) -> Iterator[Impact]:
+def _first_impacts(graph: GraphDynamics, period: Period) -> Iterator[Impact]:
     """Yield the first impact of every sequence."""
-    quantities = EventQuantities(graph=graph, start=start, period=period, events=tuple(events))
+    quantities = period.quantities(graph)
     speeds = {
         (stop, one.value)
         for stop in graph.stop_names
         for one in quantities.readings(f"{stop}.impact_speed")
     }
-    for event in events:
+    for impact in period.impacts:
         # The speeds are those of the events, bit for bit.
-        if isinstance(event, Impact) and (event.stop, -event.approach_rate) in speeds:
-            yield event
+        if (impact.stop, -impact.approach_rate) in speeds:
+            yield impact
 
 
-def _contacts(
-    graph: GraphDynamics, events: Sequence[Event], arcs: Sequence[Arc]
-) -> Iterator[_Contact]:
+def _contacts(graph: GraphDynamics, period: Period) -> Iterator[_Contact]:
     """Yield the contact phases of a period. The last one may go on over its end."""
-    for event in events:
-        if not isinstance(event, ZenoPoint):
-            continue
+    arcs = period.arcs
+    for event in period.zeno_points:
         first = next((k for k, arc in enumerate(arcs) if arc.start_time >= event.time), 0)
         held: list[Arc] = []
         for arc in (*arcs[first:], *arcs[:first]):
@@ -243,16 +225,13 @@ def _contacts(
         )
 
 
-def _flight_to(impact: Impact, events: Sequence[Event], arcs: Sequence[Arc]) -> list[Arc]:
+def _flight_to(impact: Impact, period: Period) -> list[Arc]:
     """Return the arcs from the last event of a stop to an impact on it."""
+    arcs = period.arcs
     last = next((k for k, arc in enumerate(arcs) if arc.end_time == impact.time), None)
     if last is None:
         return []
-    times = {
-        event.time
-        for event in events
-        if not isinstance(event, SwitchEvent) and event.stop == impact.stop
-    }
+    times = {event.time for event in period.events if event.what == impact.stop}
     flight: list[Arc] = []
     for arc in reversed((*arcs[last + 1 :], *arcs[: last + 1])):
         flight.append(arc)

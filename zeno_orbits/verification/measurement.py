@@ -14,7 +14,7 @@ from zeno_orbits.simulation import Extent, SimulationSettings, extent_of, signal
 from zeno_orbits.verification.claim import Case
 from zeno_orbits.verification.energies import energies_of
 from zeno_orbits.verification.integration import Run, followed
-from zeno_orbits.verification.margins import margins_of, smallest_event_share
+from zeno_orbits.verification.margins import margins_of, smallest_share
 from zeno_orbits.verification.multipliers import multipliers_along
 from zeno_orbits.verification.residuals import sizes_along
 
@@ -87,16 +87,14 @@ def _number(name: str, one: Case, run: Run, simulation: SimulationSettings) -> E
     if name == "period":
         value = first.end
     elif name == "energy":
-        value = energies_of(graph, first, one.start).values["input_work"]
+        value = energies_of(graph, first).values["input_work"]
     elif name == "spectral_radius":
         multipliers = multipliers_along(graph, one.claim, run, simulation)
         value, error = multipliers.spectral_radius, multipliers.error
     elif name == "margin":
-        events, arcs = first.events, first.arcs
-        value = smallest_event_share(graph, one.start, events, arcs, first.duration)
+        value = smallest_share(graph, first)
     else:
-        scale = sizes_along(first, graph, one.problem)
-        value = margins_of(graph, one.start, first, scale).get(name)
+        value = margins_of(graph, first, sizes_along(first, graph, one.problem)).get(name)
     if value is None:
         wanted = f"must name a quantity of the events `{', '.join(one.claim.sequence)}`"
         raise InputError(f"Argument `names` {wanted}, but it names `{name}`.")

@@ -25,7 +25,7 @@ from zeno_orbits.orbits import (
     sequence_of,
 )
 from zeno_orbits.simulation import Impact, Release, SwitchEvent, ZenoPoint, scale_of, state_before
-from zeno_orbits.verification.claim import Claim, ClaimedEvent, Contact
+from zeno_orbits.verification.claim import Case, Claim, ClaimedEvent
 from zeno_orbits.verification.energies import kept_stops, struck_view
 from zeno_orbits.verification.integration import Period, distance
 from zeno_orbits.verification.second_net import GuardRanges
@@ -194,12 +194,7 @@ def unseen_misses(
 
 
 def off_section(
-    graph: GraphDynamics,
-    claim: Claim,
-    contacts: Sequence[Contact],
-    ranges: GuardRanges,
-    first: Period | None,
-    scale: Vector,
+    one: Case, ranges: GuardRanges, first: Period | None, scale: Vector
 ) -> dict[str, float]:
     """Return the distance of the claimed start from the states just after the event of its section.
 
@@ -207,9 +202,7 @@ def off_section(
     leaves. At a release the multiplier is zero as well. A switch has the claimed state after it.
 
     Args:
-        graph: The graph of modes.
-        claim: The orbit as claimed.
-        contacts: The stops that it touches at the start of its period.
+        one: The orbit.
         ranges: The ranges of gaps and multipliers over the period.
         first: The first integrated period, if there is one.
         scale: Size of each state, ``(n_x,)``.
@@ -217,15 +210,15 @@ def off_section(
     Returns:
         The residual ``release`` or ``start``.
     """
-    x, off = claim.start, [0.0]
+    graph, claim, x, off = one.graph, one.claim, one.claim.start, [0.0]
     speeds = [] if first is None else [abs(impact.approach_rate) for impact in first.impacts]
-    for one in contacts:
-        off.append(abs(one.view.gap(x)) / ranges.largest_gap(one.stop))
-        if one.rests:
-            fastest = max(speeds, default=0.0) or one.view.own.gap_rate
-            off.append(abs(one.view.gap_rate(x)) / fastest)
-        if one.released:
-            off.append(abs(one.view.multiplier(x)) / ranges.largest_force(one.stop))
+    for at in one.contacts:
+        off.append(abs(at.view.gap(x)) / ranges.largest_gap(at.stop))
+        if at.rests:
+            fastest = max(speeds, default=0.0) or at.view.own.gap_rate
+            off.append(abs(at.view.gap_rate(x)) / fastest)
+        if at.released:
+            off.append(abs(at.view.multiplier(x)) / ranges.largest_force(at.stop))
     kind, _, name = claim.section.partition(" ")
     if kind == "switch" and scale.size and name in graph.switch_names[: graph.n_declared]:
         before = claim.events[-1].state

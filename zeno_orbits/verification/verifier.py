@@ -16,7 +16,6 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError, require_counts
 from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import (
-    EventQuantities,
     Multipliers,
     Orbit,
     extrapolated,
@@ -148,8 +147,7 @@ def verify(
     settings = replace(asked, simulation=simulation)
     known, again, residuals = Multipliers.unknown(), _CrossChecks(), dict(seen.residuals)
     if seen.first is None:
-        ranges = GuardRanges(one.graph)
-        residuals |= off_section(one.graph, one.claim, one.contacts, ranges, None, one.start[:0])
+        residuals |= off_section(one, GuardRanges(one.graph), None, seen.scale)
     else:
         again = _cross_checks(one, seen, seen.first, settings, on_progress)
         residuals |= again.residuals
@@ -240,7 +238,7 @@ def _cross_checks(
     on_progress("sampling all guards", None)
     ranges = sampled_guards(graph, first.arcs, first.duration)
     residuals = ranges.residuals()
-    residuals |= off_section(graph, one.claim, one.contacts, ranges, first, seen.scale)
+    residuals |= off_section(one, ranges, first, seen.scale)
     on_progress("cutting the impact sequences", None)
     accumulations, enough = list(accumulations_of(graph, first, arcs)), settings.tolerance / 10.0
     sweep = delta_sweep(graph, accumulations, seen.scale, settings.cuts, simulation, enough)
@@ -260,17 +258,12 @@ def _cross_checks(
         beyond = escapes_of(problem, largest_along(first)).values()
         residuals["escape"] = max((excess for excess, _ in beyond), default=0.0)
     residuals["integration"] = seen.integration_error
-    quantities = EventQuantities(
-        graph=graph,
-        start=one.start,
-        period=first.duration,
-        events=(*first.events, *first.opened),
-    )
+    quantities = first.quantities(graph).table().items()
     return _CrossChecks(
         residuals=residuals,
-        margins=margins_of(graph, one.start, first, seen.scale),
+        margins=margins_of(graph, first, seen.scale),
         energies=found.values if found else {},
-        quantities={name: (q.lowest, q.highest) for name, q in quantities.table().items()},
+        quantities={name: (q.lowest, q.highest) for name, q in quantities},
         sweep=sweep,
     )
 
@@ -281,16 +274,16 @@ def _energies(one: Case, first: Period, settings: VerificationSettings) -> Perio
     If the balance does not close, powers are integrated more exactly, then impacts are resolved to
     a lower speed: the powers inside a tail are interpolated.
     """
-    found = energies_of(one.own, first, one.start, QUICK)
+    found = energies_of(one.own, first, QUICK)
     if found.imbalance > _SHARE * settings.tolerance:
-        found = energies_of(one.own, first, one.start, EXACT)
+        found = energies_of(one.own, first, EXACT)
     if found.imbalance <= settings.tolerance or not first.zeno_points:
         return found
     rule = extrapolated(settings.simulation)
     shorter = replace(rule, resolved=_SHORTER_TAIL * rule.resolved)
     finer = replace(settings.simulation, completion=shorter)
     run = followed(one.graph, one.claim, one.start, finer, 1)
-    return energies_of(one.own, run.periods[0], one.start) if run.periods else found
+    return energies_of(one.own, run.periods[0]) if run.periods else found
 
 
 def _is_balanced(graph: GraphDynamics) -> bool:
