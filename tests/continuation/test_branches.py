@@ -20,7 +20,7 @@ from zeno_orbits.continuation import (
 from zeno_orbits.continuation.branch import Branch, follow_branch
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
 from zeno_orbits.continuation.return_maps import Composed, DifferentiatedReturn
-from zeno_orbits.continuation.setup import start_at_release
+from zeno_orbits.continuation.setup import start_of_family
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Line, Margin, MarginKind, Orbit, Section
@@ -249,7 +249,7 @@ def test_an_acceleration_that_seems_to_vanish_alone_ends_plastic_impacts_only() 
 
 def test_two_returns_have_the_product_of_the_derivatives(problem: Problem, orbit: Orbit) -> None:
     box, settings = (-1.5, -0.5), ContinuationSettings()
-    setup = start_at_release(problem, orbit, "Kd", box, settings).setup
+    setup = start_of_family(problem, orbit, "Kd", box, settings).setup
     returns = setup.returns(problem)
     once = first_point(returns, setup.metric, np.array(RELEASE), -1.0, rising=True)
     twice = Composed(maps=(returns, returns))

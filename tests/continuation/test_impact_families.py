@@ -23,11 +23,11 @@ from zeno_orbits.continuation import (
 from zeno_orbits.continuation.continuation import continue_from
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
 from zeno_orbits.continuation.parallel import Dispatch
-from zeno_orbits.continuation.return_maps import ImpactReturns
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.continuation.setup import FamilyStart, Setup
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import load_problem
+from zeno_orbits.orbits import EventSection, SectionMode
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import silent
@@ -44,7 +44,13 @@ SETUP = Setup(
     values=OSCILLATOR.values(parameters=COCO),
     parameter="A",
     box=BOX,
-    section=ImpactReturns,
+    section=EventSection(
+        name="impact stop",
+        n_returns=1,
+        sequence=("impact stop",),
+        mode=SectionMode(closed=(), sides=(), stop="stop"),
+        openings=(),
+    ),
     metric=FamilyMetric(scale=np.array([2.0, 1.4, 1.0, 1.0]), unit=BOX[1] - BOX[0], horizon=25.0),
     simulation=SimulationSettings(),
 )
@@ -257,7 +263,7 @@ def test_an_orbit_with_two_impacts_from_the_search_is_followed() -> None:
 
 
 def test_a_motion_with_a_zeno_point_is_named_instead_of_a_family_of_impacts() -> None:
-    with pytest.raises(SimulationError, match="its shape is `zeno`"):
+    with pytest.raises(SimulationError, match="it has `release stop, zeno stop`"):
         impacts_of(0.05, (0.0, 0.3))
 
 

@@ -17,8 +17,9 @@ from zeno_orbits.simulation import (
     Arc,
     Extent,
     extent_of,
-    least_inside,
+    lows_inside,
     peaks,
+    samples_inside,
     signal,
     signal_names,
     simulate,
@@ -45,6 +46,14 @@ def pairs(found: list[Any]) -> list[tuple[float, float]]:
 def spike(place: float, width: float) -> Callable[[Vector], float]:
     """A signal that is 1 at a time and next to nothing a few widths beside it."""
     return at_time(lambda t: math.exp(-(((t - place) / width) ** 2)))
+
+
+def least_inside(
+    arc: Arc, value: Callable[[np.ndarray], float], rate: Callable[[np.ndarray], float]
+) -> float | None:
+    """Return the least local minimum of a function inside an arc, or ``None`` without any."""
+    (lows,) = lows_inside([samples_inside(arc)], lambda states: np.array([rate(x) for x in states]))
+    return min((value(x) for x in lows.states), default=None)
 
 
 @pytest.fixture(name="clock", scope="module")

@@ -11,12 +11,10 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import LEAST_DOUBT, Branch
 from zeno_orbits.continuation.corrector import BranchPoint
 from zeno_orbits.continuation.families import Family, FamilyPoint, SpecialPoint, SpecialPointKind
-from zeno_orbits.continuation.margins import ENDS
-from zeno_orbits.continuation.return_maps import ImpactReturns
 from zeno_orbits.continuation.setup import ONE_RETURN, Setup
 from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import EventSection, Margin, MarginKind
+from zeno_orbits.orbits import Margin, MarginKind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,48 +143,57 @@ class _Names:
             detail="; ".join(filter(None, details)),
         )
 
+    @property
+    def _sequence(self) -> tuple[str, ...]:
+        return self.setup.section.sequence
+
+    @property
+    def _is_named(self) -> bool:
+        """True if events have names: not those of one stop without a name, each once."""
+        graph = self.problem.compiled_graph().graph
+        stops = tuple(stop.name for stop in graph.stops)
+        return bool(graph.switches) or stops != (_STOP,) or self._sequence not in _WITHOUT_NAMES
+
     def _event_of(self, located: Located) -> str:
         """Return the events that meet at an end, or the event that is lost there."""
-        section = self.setup.section
-        if located.kind not in ENDS.values():
+        cause = located.cause
+        if cause is None:
             return ""
         if located.rest:
             rest, scale = np.array(located.rest), self.setup.metric.scale
             rest[np.abs(rest) < _ZERO * scale] = 0.0
             named = self._state(rest).items()
             return "rests at " + ", ".join(f"{name} = {value:.6g}" for name, value in named)
-        of_period = (SpecialPointKind.AMPLITUDE_ZERO, SpecialPointKind.PERIOD_INFINITE)
-        if section is ImpactReturns and self.setup.n_returns > ONE_RETURN:
-            number = self._number_of_impact(located)
-            return "" if located.kind in of_period else f"impact {number} of {self.setup.n_returns}"
-        if not isinstance(section, EventSection):
+        if cause.loss in _OF_RETURN:
             return ""
-        if located.kind in of_period:
-            return ""
-        sequence = section.sequence
-        turn, place = divmod(located.place, len(sequence))
-        several = self.setup.n_returns > ONE_RETURN
-        where = f", return {turn + 1} of {self.setup.n_returns}" if several else ""
-        if located.name and located.kind is SpecialPointKind.EVENTS_MEET:
-            return f"{sequence[place]} and release {located.name}{where}"
-        if located.name:
-            return f"{_entering(located)} before {sequence[place]}{where}"
-        if located.kind in (SpecialPointKind.EVENTS_MEET, SpecialPointKind.LOCK_VANISHES):
-            return f"{sequence[place - 1]} and {sequence[place]}{where}"
-        return f"{sequence[place]}{where}"
+        turn, place = divmod(cause.place, len(self._sequence))
+        n = self.setup.n_returns
+        where = f"return {turn + 1} of {n}" if n > ONE_RETURN else ""
+        if not self._is_named:
+            is_impact = len(self._sequence) == 1 and n > ONE_RETURN
+            return f"impact {self._number(turn)} of {n}" if is_impact else where
+        event = self._sequence[place]
+        if cause.name and located.kind is SpecialPointKind.EVENTS_MEET:
+            event = f"{event} and release {cause.name}"
+        elif cause.name:
+            event = f"{_entering(located.kind, cause.name)} before {event}"
+        elif located.kind in (SpecialPointKind.EVENTS_MEET, SpecialPointKind.LOCK_VANISHES):
+            event = f"{self._sequence[place - 1]} and {event}"
+        return ", ".join(filter(None, (event, where)))
 
-    def _number_of_impact(self, located: Located) -> int:
+    def _number(self, turn: int) -> int:
         """Return the number, from 1, of the impact that ends a return.
 
         The section is just after the first impact, so that the last return ends with it.
         """
-        return (located.place + 1) % self.setup.n_returns + 1
+        return (turn + 1) % self.setup.n_returns + 1
 
     def _kind_of(self, located: Located) -> SpecialPointKind:
         """Return the kind of a special point. In a family of impacts a later impact may graze."""
-        later = self.setup.section is ImpactReturns and self._number_of_impact(located) > 1
-        grazes = located.kind is SpecialPointKind.GRAZING
-        return SpecialPointKind.LATER_GRAZING if grazes and later else located.kind
+        if located.kind is not SpecialPointKind.GRAZING or located.cause is None:
+            return located.kind
+        is_later = len(self._sequence) == 1 and self._number(located.cause.place) > 1
+        return SpecialPointKind.LATER_GRAZING if is_later else located.kind
 
     def end(self, branch: Branch, last: BranchPoint, index: int) -> SpecialPoint:
         """Return the end of a branch, or its last point if the end was not located.
@@ -207,31 +214,35 @@ class _Names:
 
     def _margins(self, margins: Mapping[Margin, float]) -> dict[str, float]:
         """Return margins by name. The name has the number of the return if there are several."""
-        section = self.setup.section
-        sequence = section.sequence if isinstance(section, EventSection) else ("",)
+        several, is_named = self.setup.n_returns > ONE_RETURN, self._is_named
         found: dict[str, float] = {}
         for margin, value in margins.items():
-            turn, place = divmod(margin.place, len(sequence))
-            of_return = margin.loss in (MarginKind.AMPLITUDE, *_OF_PERIOD)
-            event = "" if of_return else sequence[place]
-            word = "after" if margin.loss is MarginKind.OPENING else "before"
-            before = f"{margin.name} {word} {event}" if margin.name else event
-            several = self.setup.n_returns > ONE_RETURN
-            parts = (margin.loss.value, before, f"return {turn + 1}" if several else "")
-            found[", ".join(filter(None, parts))] = value
+            turn, place = divmod(margin.place, len(self._sequence))
+            event = self._sequence[place]
+            if margin.name:
+                word = "after" if margin.loss is MarginKind.OPENING else "before"
+                event = f"{margin.name} {word} {event}"
+            is_of_event = is_named and margin.loss not in _OF_RETURN
+            parts = [margin.loss.value, *([event] if is_of_event else [])]
+            name = ", ".join([*parts, *([f"return {turn + 1}"] if several else [])])
+            found[name] = min(value, found.get(name, value))
         return found
 
 
 _ZERO = 1e-9
 """Size of a state that is zero, over its scale."""
-_OF_PERIOD = (MarginKind.FREQUENCY, MarginKind.STALL)
-"""Margins of the period."""
+_OF_RETURN = (MarginKind.AMPLITUDE, MarginKind.FREQUENCY, MarginKind.STALL)
+"""Margins of a whole return."""
+_STOP = "stop"
+"""Name of the only stop of a machine that gives it no name."""
+_WITHOUT_NAMES = ((f"impact {_STOP}",), (f"zeno {_STOP}", f"release {_STOP}"))
+"""Event sequences whose margins need no names of events."""
 
 
-def _entering(located: Located) -> str:
+def _entering(kind: SpecialPointKind, name: str) -> str:
     """Return the event that enters the event sequence at an end."""
     kinds = {
         SpecialPointKind.EARLIER_GRAZING: "impact",
         SpecialPointKind.EARLIER_RELEASE: "release",
     }
-    return f"{kinds.get(located.kind, 'switch')} {located.name}"
+    return f"{kinds.get(kind, 'switch')} {name}"

@@ -10,7 +10,7 @@ the family belongs to one machine of which one parameter changes. Source: [Kelle
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from zeno_orbits.continuation.assembly import FollowedFamily, whole_family
@@ -23,17 +23,13 @@ from zeno_orbits.continuation.setup import (
     ContinuationSettings,
     FamilyStart,
     plane_of,
-    start_at_event,
-    start_at_impact,
-    start_at_impacts_of,
-    start_at_release,
+    start_of_family,
 )
-from zeno_orbits.continuation.special_points.test_functions import INSIDE
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import ParameterValues, Problem, RecordedFile
-from zeno_orbits.orbits import ONE_ZENO, Orbit, digest_of
-from zeno_orbits.search import orbit_at_gains, orbit_by_shooting
+from zeno_orbits.orbits import NO_ZENO_ORBIT, ONE_ZENO, Orbit, digest_of
+from zeno_orbits.search import orbit_at_gains, orbit_by_shooting, settled_event_orbit
 from zeno_orbits.simulation import simulator_in_use
 from zeno_orbits.work import Checked, Progress, silent, to_plain, versions
 
@@ -82,13 +78,7 @@ def family_of_orbit(
         WorkError: If the work cannot be finished.
     """
     settings = settings or ContinuationSettings()
-    if not orbit.has_phases:
-        second = None if second is None else _without_ends(second)
-        start = start_at_event(problem, orbit, parameter, box, settings)
-    elif orbit.shape.without_contact:
-        start = start_at_impacts_of(problem, orbit, parameter, box, settings)
-    else:
-        start = start_at_release(problem, orbit, parameter, box, settings)
+    start = start_of_family(problem, orbit, parameter, box, settings)
     dispatch = Dispatch(problem=problem, settings=settings, on_progress=on_progress, crew=crew)
     return continue_from(start, dispatch, second=second)
 
@@ -121,10 +111,18 @@ def family_of_impacts(
         SimulationError: If the impacts do not converge.
         WorkError: If the work cannot be finished.
     """
-    settings = settings or ContinuationSettings()
-    start = start_at_impact(problem, values, state, parameter, box, settings)
-    dispatch = Dispatch(problem=problem, settings=settings, on_progress=on_progress, crew=crew)
-    return continue_from(start, dispatch)
+    start = dict(zip(problem.state_names, state, strict=True))
+    orbit = settled_event_orbit(problem, values, start=start, on_progress=on_progress)
+    if orbit.kind != NO_ZENO_ORBIT:
+        sequence = ", ".join(orbit.sequence)
+        raise SimulationError(
+            f"The motion does not converge to an orbit without a Zeno point: it has `{sequence}`",
+            time=orbit.period,
+            state=state,
+        )
+    return family_of_orbit(
+        problem, orbit, parameter, box, settings=settings, on_progress=on_progress, crew=crew
+    )
 
 
 def continue_from(
@@ -202,20 +200,6 @@ def start_orbit(
     if closing is not None and closing.orbit is not None:
         return closing.orbit
     return orbit_at_gains(problem, values, shape=ONE_ZENO).unwrap()
-
-
-def _without_ends(second: SecondParameter) -> SecondParameter:
-    """Return a second parameter without the ends, whose curves need a machine with one stop.
-
-    Raises:
-        InputError: If only ends are to be followed.
-    """
-    kinds = tuple(kind for kind in second.kinds if kind in INSIDE)
-    if not kinds:
-        ends = ", ".join(f"`{kind.value}`" for kind in second.kinds)
-        wanted = "must have another kind than ends for a machine with several stops or switches"
-        raise InputError(f"Argument `parameter2` {wanted}, but it has {ends}.")
-    return replace(second, kinds=kinds)
 
 
 def _continuation(

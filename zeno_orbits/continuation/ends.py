@@ -43,17 +43,22 @@ def locate_end(
     found = _located(returns, metric, points, threat)
     if not found.path:
         return found
-    cause, *others = causes(stages([*points[-2:], *found.path]), threat.margin)
-    if (
-        cause.loss is MarginKind.ACCELERATION
-        and returns.restitution(found.point.s, cause.place) > 0.0
-    ):
+    left = causes(stages([*points[-2:], *found.path]), threat.margin)
+    # The acceleration at elastic impacts vanishes with another margin only.
+    causing = [
+        one
+        for one in left
+        if one.loss is not MarginKind.ACCELERATION
+        or returns.restitution(found.point.s, one.place) == 0.0
+    ]
+    if not causing:
         raise SimulationError("The acceleration vanishes without a known cause", time=0.0, state=())
+    cause, *others = causing
     if cause != threat.margin:
         found = _better(found, returns, metric, points, replace(threat, margin=cause))
     kinds = {ENDS[margin.loss]: None for margin in (cause, *others)}
     name, *also = kinds
-    return replace(found, kind=name, place=cause.place, name=cause.name, also=tuple(also))
+    return replace(found, kind=name, cause=cause, also=tuple(also))
 
 
 def _located(
@@ -179,7 +184,7 @@ def _approach(
         margins=_limits(used, margin),
         multipliers=multipliers,
         multiplier_error=change,
-        place=margin.place,
+        cause=margin,
         path=tuple(nodes[2:]),
     )
 

@@ -117,7 +117,8 @@ class FollowDoubling:
 
         def closes_earlier(other: BranchPoint) -> bool:
             """Return True for an orbit that already closes after half the returns."""
-            half = once.follow(other.x, other.s, horizon=metric.horizon)
+            x = once.projected(other.x, other.s, metric.scale)
+            half = once.follow(x, other.s, horizon=metric.horizon)
             away = float(np.linalg.norm(other.z - point.z))
             return float(np.max(np.abs(half.end - other.x) / metric.scale)) < min(
                 _APART * away, _APART * _AWAY[0]

@@ -14,9 +14,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
-from zeno_orbits.continuation.cut_return_map import cut_after
 from zeno_orbits.continuation.families import SpecialPointKind
-from zeno_orbits.continuation.return_maps import ReturnMap
+from zeno_orbits.continuation.return_maps import ReturnMap, cut_after
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.continuation.special_points.test_functions import multiplier_change, with_course
@@ -57,9 +56,9 @@ def locate_cut(
     """
     near = _Near(centre=last.z, reach=_REACH * distance)
     trouble: ZenoOrbitsError | None = None
-    for n, here in islice(_telling_cuts(returns, metric, last, margin.place), _MOST_FIRST_CUTS):
+    for n, here in islice(_telling_cuts(returns, metric, last, margin), _MOST_FIRST_CUTS):
         try:
-            found = _cut_ever_later(returns, metric, here, n, _FIRST_STEP, margin.place, near)
+            found = _cut_ever_later(returns, metric, here, n, _FIRST_STEP, margin, near)
         except ZenoOrbitsError as error:
             # The root of a truncation converges to the end as (sigma/kappa)^n. It may be far from
             # the end after few impacts.
@@ -74,7 +73,7 @@ def locate_cut_near(
     metric: FamilyMetric,
     z: Vector,
     along: Vector,
-    place: int,
+    margin: Margin,
 ) -> Located:
     """Return the end at which the contact phase vanishes, near an estimate of it.
 
@@ -83,16 +82,16 @@ def locate_cut_near(
         metric: Units.
         z: The estimate, ``(n_x + 1,)``.
         along: Approximate tangent of the family at the estimate, ``(n_x + 1,)``.
-        place: Index of the return with that contact phase.
+        margin: The contact duration.
 
     Raises:
         ZenoOrbitsError: If the contact phase does not vanish nearby.
     """
     for n in _KNOWN_CUTS:
         try:
-            here = correct(cut_after(returns, place, n), metric, z, along)
+            here = correct(cut_after(returns, n), metric, z, along)
             near = _Near(centre=here.z, reach=_BESIDE)
-            return _cut_ever_later(returns, metric, here, n, _FIRST_STEP, place, near)
+            return _cut_ever_later(returns, metric, here, n, _FIRST_STEP, margin, near)
         except ZenoOrbitsError:
             # Beyond the end contact ends before the impacts accumulate, the later the nearer the
             # end is. So fewer impacts may still occur.
@@ -114,7 +113,7 @@ def _cut_ever_later(
     here: BranchPoint,
     n: int,
     step: float,
-    place: int,
+    margin: Margin,
     near: _Near,
 ) -> Located:
     r"""Return the limit of the points with truncated sequences on the separatrix (theory (5.7)).
@@ -122,21 +121,19 @@ def _cut_ever_later(
     The root of :math:`1 - r_n / r_*` converges as :math:`(\sigma/\kappa)^n`, so each pair of roots
     is extrapolated to a better estimate.
     """
-    cut, law = (
-        Margin(loss=MarginKind.CUT, place=place),
-        separatrix(returns.restitution(here.s, place)),
-    )
+    cut = replace(margin, loss=MarginKind.CUT)
+    law = separatrix(returns.restitution(here.s, margin.place))
     # About one decade of convergence per truncation, so that the differences are significant.
     stride = max(1, round(-1.0 / np.log10(law.shrinking / law.repulsion)))
     found: list[BranchPoint] = []
     limits: list[Vector] = []
     error = np.inf
     for _ in range(_MOST_CUTS):
-        here = _cut_root(cut_after(returns, place, n), metric, here, step, cut, near)
+        here = _cut_root(cut_after(returns, n), metric, here, step, cut, near)
         found.append(here)
         if len(found) > 1:
             change = found[-1].z - found[-2].z
-            law = separatrix(returns.restitution(here.s, place))
+            law = separatrix(returns.restitution(here.s, margin.place))
             part = (law.shrinking / law.repulsion) ** stride
             limits.append(np.append(here.z + change * part / (1 - part), here.found.time))
             step = float(np.linalg.norm(change)) * part
@@ -146,10 +143,10 @@ def _cut_ever_later(
                 break
         n += stride
     # The error is the last change of the limit plus the change of the root at a looser tolerance.
-    loose = corrected_again(cut_after(returns, place, n).loosened(), metric, here)
-    slope = _slope(cut_after(returns, place, n), metric, here, cut, max(step, 1e-9))
+    loose = corrected_again(cut_after(returns, n).loosened(), metric, here)
+    slope = _slope(cut_after(returns, n), metric, here, cut, max(step, 1e-9))
     doubt = abs(loose.found.margins[cut] - here.found.margins[cut]) / abs(slope)
-    here = with_course(cut_after(returns, place, n), metric, here, max(step, 1e-9))
+    here = with_course(cut_after(returns, n), metric, here, max(step, 1e-9))
     # A shorter truncation approximates the multipliers less well.
     moved = multiplier_change(here, found[-2])
     return Located(
@@ -161,7 +158,7 @@ def _cut_ever_later(
         margins=here.found.margins,
         multipliers=here.multipliers,
         multiplier_error=moved,
-        place=place,
+        cause=margin,
     )
 
 
@@ -169,17 +166,17 @@ _MOST_CUTS = 16
 
 
 def _telling_cuts(
-    returns: ReturnMap, metric: FamilyMetric, last: BranchPoint, place: int
+    returns: ReturnMap, metric: FamilyMetric, last: BranchPoint, margin: Margin
 ) -> Iterator[tuple[int, BranchPoint]]:
     """Yield the numbers of impacts, in ascending order, whose truncation has a positive margin.
 
     The distance of the end can be estimated from such a margin. A truncation to fewer impacts than
     another stop has in a row changes the event sequence.
     """
-    n, cut = 2, Margin(loss=MarginKind.CUT, place=place)
+    n, cut = 2, replace(margin, loss=MarginKind.CUT)
     while n < _MOST_IMPACTS:
         try:
-            point = correct(cut_after(returns, place, n), metric, last.z, last.tangent)
+            point = correct(cut_after(returns, n), metric, last.z, last.tangent)
         except ZenoOrbitsError:
             point = None
         if point is not None and point.found.margins[cut] > 0.0:

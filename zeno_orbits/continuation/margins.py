@@ -136,42 +136,48 @@ def threats(way: Sequence[Stage], restitution: Callable[[int], float]) -> list[V
                 distance=step / ((earlier / value) ** power - 1),
                 fall=float(np.log(earlier / value)),
             )
-    return _without_consequences(found, _n_returns(last))
+    return _without_consequences(found, _n_places(last))
 
 
-def _n_returns(stage: Stage) -> int:
+def _n_places(stage: Stage) -> int:
     return 1 + max((margin.place for margin in stage.margins), default=0)
 
 
-def consequences(margin: Margin, n_returns: int, known: Iterable[Margin]) -> dict[Margin, float]:
+def consequences(margin: Margin, n_places: int, known: Iterable[Margin]) -> dict[Margin, float]:
     """Return the margins that vanish with another margin, each with its power of that margin.
 
     If the amplitude vanishes, all margins that are not times vanish in proportion. If the release
-    stops being transversal, the flight after it vanishes, in the next return. If the contact phase
-    vanishes, so does the acceleration at its start.
+    stops being transversal, the flight after it vanishes, at the next event. If the contact phase
+    vanishes, so does the acceleration at its start, at the previous event.
 
     Args:
         margin: The margin that vanishes.
-        n_returns: Number of returns per period, or of events.
+        n_places: Number of events per period.
         known: The margins to choose from.
     """
-    later = margin.loss in _LATER
-    place = (margin.place + later) % n_returns
     powers = _ENTAILED.get(margin.loss, {})
+
+    def is_at_once(one: Margin) -> bool:
+        if MarginKind.AMPLITUDE in (one.loss, margin.loss):
+            return True
+        begins = margin.loss is MarginKind.LOCK and one.loss is MarginKind.ACCELERATION
+        shift = -1 if begins else int(margin.loss in _LATER)
+        return one.place == (margin.place + shift) % n_places
+
     return {
         one: powers[one.loss]
         for one in known
-        if one.loss in powers and one.place == place and one != margin
+        if one.loss in powers and is_at_once(one) and one != margin
     }
 
 
 def _without_consequences(
-    found: dict[Margin, VanishingMargin], n_returns: int
+    found: dict[Margin, VanishingMargin], n_places: int
 ) -> list[VanishingMargin]:
     """Return threats without the consequences of others, according to their joint decrease."""
     left = dict(found)
     for margin, threat in found.items():
-        for consequence, power in consequences(margin, n_returns, tuple(left)).items():
+        for consequence, power in consequences(margin, n_places, tuple(left)).items():
             lesser = left[consequence]
             if _TOGETHER < power * threat.fall / lesser.fall < 1 / _TOGETHER:
                 del left[consequence]
@@ -200,7 +206,7 @@ def causes(way: Sequence[Stage], gone: Margin) -> tuple[Margin, ...]:
     entailed = {
         margin
         for cause, power in powers.items()
-        for margin, factor in consequences(cause, _n_returns(way[-1]), powers).items()
+        for margin, factor in consequences(cause, _n_places(way[-1]), powers).items()
         if abs(powers[margin] / (factor * power) - 1) < _POWER
     }
     order = list(ENDS)

@@ -1,14 +1,17 @@
 r"""Return maps along a line of parameters, with exact derivatives and the margins of each return.
 
-A return map takes a section to itself. Returns are computed in the full state, so that they can be
+A return map takes a section to itself: the states just after an event of a kind. A return passes
+one event sequence, for every machine. Returns are computed in the full state, so that they can be
 composed:
 
 .. math:: D(P_2 \circ P_1) = \partial_x P_2\; D P_1 + \partial_s P_2
 
-Orbits with a Zeno point return from release to release. Orbits without a Zeno point return from
-impact to impact. Their section is the set of states just after an impact, :math:`h = 0`,
-:math:`\dot h > 0`. Its dimension is :math:`n_x - 1` minus the number of holonomic rows. Source:
-theory (5.5).
+A return can be truncated, so that it is smooth where a contact phase vanishes. The impact sequence
+that ends exactly at the release is the stable set of the fixed point of theory (5.7). There the
+Zeno point is not differentiable, but the first `n` impacts are. A return with a plastic reset at
+impact `n` differs from the true return by :math:`O(\sigma^{4n})`, theory (2.3). The condition
+:math:`r_n = r_*` has an error of :math:`O((\sigma / \kappa)^n)` in the parameter. Source: theory
+(5.5).
 """
 
 from __future__ import annotations
@@ -17,44 +20,35 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import pairwise
 from threading import get_ident
-from typing import ClassVar, Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import SimulationError
-from zeno_orbits.model import CompiledSystem, HybridDynamics, bind
+from zeno_orbits.continuation.separatrix import separatrix
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model import GAP_ACCELERATION, CompiledGraph, GraphDynamics, HybridDynamics
 from zeno_orbits.orbits import (
-    IMPACT_ROWS,
-    RELEASE_ROWS,
+    EventReturn,
+    EventSection,
     Line,
     Margin,
     MarginKind,
-    ReturnDerivative,
     Saddle,
     Section,
+    contact_view,
+    contacts_of,
     differentials_of,
-    nearest_saddle,
-    passage_of,
-    project_to_section,
+    event_return,
+    extrapolated,
+    kept_section,
+    margins_of_return,
+    on_section,
     relaxed_settings,
-    return_derivative,
-    section_along,
+    saddle_of_return,
 )
-from zeno_orbits.simulation import (
-    Arc,
-    Ending,
-    EventDerivatives,
-    Execution,
-    Impact,
-    Mode,
-    SimulationSettings,
-    least_inside,
-    simulate,
-    steady_turn,
-)
+from zeno_orbits.simulation import Impact, PlasticAfter, SimulationSettings, steady_turn
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,217 +183,171 @@ class ReturnMap(Protocol):
         ...
 
 
-@lru_cache(maxsize=8)
-def _system_at(compiled: CompiledSystem, values: tuple[float, ...], thread: int) -> HybridDynamics:
-    """Return the system at some values, which a return and its section share in one thread.
-
-    Its calls write to memory of their own, so that two threads must not share a system.
-    """
-    del thread
-    return bind(compiled, values)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SectionReturns:
-    """Base of the return maps on a section of the contact.
-
-    Attributes:
-        compiled: Functions of the problem.
-        line: The line of parameters.
-        settings: Accuracy.
-        rows: Conditions that define the section, an attribute of the class.
-    """
-
-    compiled: CompiledSystem
-    line: Line
-    settings: SimulationSettings
-    rows: ClassVar[tuple[int, ...]]
-
-    @property
-    def n_places(self) -> int:
-        """Number of places of its margins."""
-        return 1
-
-    def dynamics(self, s: float) -> HybridDynamics:
-        """Return the system at a position on the line."""
-        return _system_at(self.compiled, tuple(self.line.at(s).tolist()), get_ident())
-
-    def restitution(self, s: float, place: int = 0) -> float:
-        """Return the coefficient of restitution at a position on the line."""
-        del place
-        return self.dynamics(s).restitution
-
-    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
-        """Return the section around one of its states."""
-        return section_along(self.dynamics(s), self.line, self.rows, x, scale)
-
-    def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
-        """Return the state of the section nearest to a state."""
-        return project_to_section(self.dynamics(s), self.rows, x, scale)
-
-    def saddle(self, x: Vector, s: float, *, horizon: float) -> Saddle | None:
-        """Return the saddle near the slowest state of the motion from a state, or ``None``."""
-        dynamics = self.dynamics(s)
-        run = simulate(dynamics, x, until=horizon, settings=self.settings)
-        return saddle_of_arcs(dynamics, run.arcs)
-
-    def moved_to(self, line: Line) -> Self:
-        """Return the same map along another line."""
-        return replace(self, line=line)
-
-    def loosened(self) -> Self:
-        """Return the same map at a looser tolerance."""
-        return replace(self, settings=relaxed_settings(self.settings, factor=LOOSER))
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReleaseReturns(SectionReturns):
-    """Return map from release to release, through a Zeno point."""
-
-    rows = RELEASE_ROWS
-
-    def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
-        """Return the motion from a release to the next."""
-        dynamics, line = self.dynamics(s), self.line
-        found = return_derivative(
-            dynamics, x, horizon=horizon, settings=self.settings, parameters=line.moving
-        )
-        return DifferentiatedReturn(
-            time=found.period.value,
-            end=found.end,
-            by_state=found.by_state,
-            by_parameter=found.by_parameters @ line.slopes,
-            margins=LazyMargins(lambda: self._margins(dynamics, found)),
-            turns=turns_of_clock(dynamics, x, found.period.value),
-        )
-
-    def _margins(self, dynamics: HybridDynamics, found: ReturnDerivative) -> Mapping[Margin, float]:
-        run = found.execution
-        arcs = [arc for arc in run.arcs if arc.end_time <= found.period.value]
-        flight = next(arc for arc in arcs if arc.mode is Mode.FREE)
-        zeno = run.zeno_points[0]
-        locked = next(arc for arc in reversed(arcs) if arc.mode is Mode.LOCKED)
-        states = [found.start, zeno.state, run.impacts[0].state_plus]
-        states += [_inside(arc, part) for arc in (flight, locked) for part in _PARTS]
-        ranges = np.delete(np.ptp(np.array(states), axis=0), self.compiled.clock)
-        sizes = np.delete(dynamics.own.states(found.start.size), self.compiled.clock)
-        margins = {
-            Margin(loss=MarginKind.AMPLITUDE): float(np.max(ranges / sizes)),
-            Margin(loss=MarginKind.FREQUENCY): 1 / found.period.value,
-            Margin(loss=MarginKind.LOCK): found.locked_time.value,
-            Margin(loss=MarginKind.ACCELERATION): -found.gap_acceleration.value,
-            Margin(loss=MarginKind.FIRST_IMPACT): -found.first_rate.value,
-            Margin(loss=MarginKind.RELEASE_RATE): -dynamics.multiplier_rate(found.end),
-        }
-        margins.update(_stall(dynamics, arcs, found.period.value))
-        kept = _least_kept(dynamics, run)
-        if kept is not None:
-            margins[Margin(loss=MarginKind.LATER_IMPACT)] = kept
-        least_gap = _least_gap(dynamics, flight)
-        if least_gap is not None:
-            margins[Margin(loss=MarginKind.NEAR_MISS)] = least_gap
-        hold = least_inside(locked, dynamics.multiplier, dynamics.multiplier_rate)
-        if hold is not None:
-            margins[Margin(loss=MarginKind.ADHESION)] = hold
-        return margins
-
-
-_PARTS = (0.25, 0.5, 0.75)
-"""Fractions of an arc at which states are compared. Since they are fixed, the range is smooth."""
-
-
-def _inside(arc: Arc, part: float) -> Vector:
-    # The flow of a rescaled flight has further states.
-    return arc.flow_state_at(part * arc.duration)[: len(arc.start_state)]
-
-
 LOOSER = 30.0
 """Factor on the tolerances for the second computation of a point."""
 PATIENCE = 4.0
 """Longest time to wait for a return, in periods of the start."""
 
 
-def saddle_of_arcs(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> Saddle | None:
-    """Return the saddle near the slowest state of a motion, or ``None``.
+@lru_cache(maxsize=8)
+def _graph_at(compiled: CompiledGraph, values: tuple[float, ...], thread: int) -> GraphDynamics:
+    """Return the machine at some values, which a return and its section share in one thread.
 
-    Args:
-        dynamics: The system.
-        arcs: Arcs of the motion.
+    Its calls write to memory of their own, so that two threads must not share a machine.
+
+    Raises:
+        SimulationError: If the values are invalid, such as a negative restitution.
     """
-    if dynamics.clock:
-        # A clock does not rest.
-        return None
-    sizes = dynamics.own.states(len(arcs[0].start_state))
-    return nearest_saddle(
-        arcs, lambda arc: dynamics.locked if arc.mode is Mode.LOCKED else dynamics.free, sizes
-    )
-
-
-def _stall(dynamics: HybridDynamics, arcs: Sequence[Arc], time: float) -> dict[Margin, float]:
-    """Return the margin of a motion that stalls at a saddle, if one is near."""
-    saddle = saddle_of_arcs(dynamics, arcs)
-    if saddle is None:
-        return {}
-    return {Margin(loss=MarginKind.STALL): float(np.exp(-saddle.rate * time))}
-
-
-def _least_gap(dynamics: HybridDynamics, flight: Arc) -> float | None:
-    """Return the least gap inside a flight, or ``None`` if the gap has no minimum inside."""
-    return least_inside(flight, dynamics.gap, dynamics.gap_rate)
-
-
-def _least_kept(dynamics: HybridDynamics, run: Execution) -> float | None:
-    """Return the least ratio of impact speed to initial speed over the flights between impacts.
-
-    The ratio tends to one as impacts accumulate, and to zero only if an impact grazes. Return
-    ``None`` if there is only one impact.
-    """
-    rates = [impact.approach_rate for impact in run.impacts]
-    kept = [
-        -after / dynamics.speed_after(before)
-        for before, after in pairwise(rates)
-        if dynamics.restitution > 0.0
-    ]
-    return min(kept, default=None)
-
-
-class OnSection:
-    """Base of return maps with the section and the line of another return map."""
-
-    @property
-    def base(self) -> ReturnMap:
-        """The other return map."""
-        raise NotImplementedError
-
-    @property
-    def line(self) -> Line:
-        """The line of parameters."""
-        return self.base.line
-
-    @property
-    def n_places(self) -> int:
-        """Number of places of its margins."""
-        return self.base.n_places
-
-    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
-        """Return the section around one of its states."""
-        return self.base.frame(x, s, scale)
-
-    def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
-        """Return the state of the section nearest to a state."""
-        return self.base.projected(x, s, scale)
-
-    def saddle(self, x: Vector, s: float, *, horizon: float) -> Saddle | None:
-        """Return the saddle near the slowest state of the motion from a state, or ``None``."""
-        return self.base.saddle(x, s, horizon=horizon)
-
-    def restitution(self, s: float, place: int = 0) -> float:
-        """Return the coefficient of restitution of the stop of a margin."""
-        return self.base.restitution(s, place)
+    del thread
+    graph = GraphDynamics(compiled, values)
+    try:
+        _ = graph.open_views
+    except InputError as error:
+        raise SimulationError(str(error), time=0.0, state=()) from error
+    return graph
 
 
 @dataclass(frozen=True, kw_only=True)
-class Composed(OnSection):
+class EventReturns:
+    """Return map from an event to the end of its event sequence, along a line of parameters.
+
+    Attributes:
+        compiled: Functions of the problem.
+        line: The line of parameters.
+        settings: Accuracy.
+        section: The section.
+        cut: Number of impacts before a plastic reset at each Zeno point. 0 resolves all impacts.
+            All Zeno points are truncated, since several contact phases of a symmetric orbit vanish
+            at once. Far from its end, an impact sequence is changed less.
+    """
+
+    compiled: CompiledGraph
+    line: Line
+    settings: SimulationSettings
+    section: EventSection
+    cut: int = 0
+
+    @property
+    def n_places(self) -> int:
+        """Number of events in the event sequence."""
+        return len(self.section.sequence)
+
+    def dynamics(self, s: float) -> GraphDynamics:
+        """Return the machine at a position on the line."""
+        return _graph_at(self.compiled, tuple(self.line.at(s).tolist()), get_ident())
+
+    def restitution(self, s: float, place: int = 0) -> float:
+        """Return the coefficient of restitution of the stop of an event.
+
+        Args:
+            s: Position on the line.
+            place: Index of the event in the event sequence. If it has no stop, the first is meant.
+        """
+        graph = self.dynamics(s)
+        _, _, name = self.section.sequence[place % self.n_places].partition(" ")
+        stop = graph.stop_names.index(name) if name in graph.stop_names else 0
+        return graph.open_views[stop].restitution
+
+    def moved_to(self, line: Line) -> EventReturns:
+        """Return the same map along another line."""
+        return replace(self, line=line)
+
+    def loosened(self) -> EventReturns:
+        """Return the same map at a looser tolerance."""
+        return replace(self, settings=relaxed_settings(self.settings, factor=LOOSER))
+
+    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
+        """Return the section around one of its states."""
+        line = self.line
+        kept = kept_section(self.dynamics(s), x, self.section.mode, scale, line.moving)
+        return replace(kept, drift=(kept.drift @ line.slopes)[:, None])
+
+    def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
+        """Return the state projected onto its closed stops, and onto the stop that it leaves."""
+        del scale
+        return on_section(self.dynamics(s), x, self.section.mode)
+
+    def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
+        """Return the motion from a state of the section to the end of the event sequence.
+
+        Raises:
+            SimulationError: If the event sequence is another, or the motion does not return.
+        """
+        graph = self.dynamics(s)
+        found = self._returned(graph, x, horizon)
+        turn = steady_turn(graph.first, found.start)
+        return DifferentiatedReturn(
+            time=found.period,
+            end=found.end,
+            by_state=found.by_state,
+            by_parameter=found.by_parameters @ self.line.slopes,
+            margins=LazyMargins(lambda: self._margins(graph, found)),
+            volume=volume_of(graph, found),
+            turns=found.period / turn if turn else 0.0,
+        )
+
+    def saddle(self, x: Vector, s: float, *, horizon: float) -> Saddle | None:
+        """Return the saddle near the slowest state of the motion from a state, or ``None``."""
+        graph = self.dynamics(s)
+        start = on_section(graph, x, self.section.mode)
+        return saddle_of_return(graph, self._returned(graph, start, horizon))
+
+    def _returned(self, graph: GraphDynamics, x: Vector, horizon: float) -> EventReturn:
+        whole = extrapolated(self.settings)
+        return event_return(
+            graph,
+            x,
+            section=self.section.name,
+            n_returns=self.section.n_returns,
+            guess=horizon / PATIENCE,
+            settings=self.settings,
+            parameters=self.line.moving,
+            completion=PlasticAfter(n_impacts=self.cut) if self.cut else whole,
+            sequence=self.section.sequence,
+            openings=self.section.openings,
+        )
+
+    def _margins(self, graph: GraphDynamics, found: EventReturn) -> Mapping[Margin, float]:
+        """Return the margins of a return, or those of its truncations alone."""
+        if not self.cut:
+            return margins_of_return(graph, found)
+        return {
+            Margin(loss=MarginKind.CUT, place=contact.place): _from_separatrix(
+                contact_view(graph, found, contact), contact.last_impact
+            )
+            for contact in contacts_of(found)
+        }
+
+
+def cut_after(returns: ReturnMap, n_impacts: int) -> ReturnMap:
+    """Return a map with the impact sequences of its returns truncated.
+
+    Args:
+        returns: Map of one or several returns.
+        n_impacts: Number of impacts before each plastic reset.
+    """
+    if isinstance(returns, Composed):
+        return Composed(maps=tuple(cut_after(one, n_impacts) for one in returns.maps))
+    if not isinstance(returns, EventReturns):
+        raise TypeError("Argument `returns` must be a map of returns of events.")
+    return replace(returns, cut=n_impacts)
+
+
+def _from_separatrix(dynamics: HybridDynamics, impact: Impact) -> float:
+    r"""Return :math:`1 - r / r_*` after an impact.
+
+    It is positive if the impacts accumulate before the release.
+    """
+    resting = dynamics.resting(impact.state_plus)
+    gradient = differentials_of(dynamics, ()).contact(resting.state)[GAP_ACCELERATION]
+    fall = float(gradient @ resting.rate)
+    speed = dynamics.speed_after(impact.approach_rate)
+    ratio = speed * fall / resting.gap_acceleration**2
+    return 1 - ratio / separatrix(dynamics.restitution).ratio
+
+
+@dataclass(frozen=True, kw_only=True)
+class Composed:
     """Composition of several returns, under which an orbit of a higher period closes.
 
     Attributes:
@@ -409,14 +357,30 @@ class Composed(OnSection):
     maps: tuple[ReturnMap, ...]
 
     @property
-    def base(self) -> ReturnMap:
-        """The return map with the same section and line."""
-        return self.maps[0]
+    def line(self) -> Line:
+        """The line of parameters."""
+        return self.maps[0].line
 
     @property
     def n_places(self) -> int:
         """Number of places of its margins."""
-        return len(self.maps) * self.base.n_places
+        return len(self.maps) * self.maps[0].n_places
+
+    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
+        """Return the section around one of its states."""
+        return self.maps[0].frame(x, s, scale)
+
+    def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
+        """Return the state of the section nearest to a state."""
+        return self.maps[0].projected(x, s, scale)
+
+    def saddle(self, x: Vector, s: float, *, horizon: float) -> Saddle | None:
+        """Return the saddle near the slowest state of the motion from a state, or ``None``."""
+        return self.maps[0].saddle(x, s, horizon=horizon)
+
+    def restitution(self, s: float, place: int = 0) -> float:
+        """Return the coefficient of restitution of the stop of a margin."""
+        return self.maps[0].restitution(s, place)
 
     def moved_to(self, line: Line) -> Composed:
         """Return the same map along another line."""
@@ -431,8 +395,10 @@ class Composed(OnSection):
         end, by_state, by_parameter = x, np.eye(x.size), np.zeros(x.size)
         time, turns, margins = 0.0, 0.0, list[Mapping[Margin, float]]()
         volumes = list[float | None]()
-        for one in self.maps:
-            found = one.follow(end, s, horizon=horizon)
+        for k, one in enumerate(self.maps):
+            # A motion drifts off the constraints of its section.
+            start = one.projected(end, s, np.ones(x.size)) if k else end
+            found = one.follow(start, s, horizon=horizon)
             volumes.append(found.volume)
             by_state = found.by_state @ by_state
             by_parameter = found.by_state @ by_parameter + found.by_parameter
@@ -443,72 +409,10 @@ class Composed(OnSection):
             end=end,
             by_state=by_state,
             by_parameter=by_parameter,
-            margins=LazyMargins(lambda: _placed(margins, self.base.n_places)),
+            margins=LazyMargins(lambda: _placed(margins, self.maps[0].n_places)),
             volume=_product(volumes),
             turns=turns,
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImpactReturns(SectionReturns):
-    """Return map from just after an impact to just after the next impact."""
-
-    rows = IMPACT_ROWS
-
-    def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
-        """Return the flight from an impact to the next, and its derivatives.
-
-        Raises:
-            SimulationError: If contact persists, or no impact follows within the horizon.
-        """
-        dynamics, line = self.dynamics(s), self.line
-        speed = dynamics.gap_rate(x)
-        if not speed > self.settings.contact * dynamics.own.gap_rate:
-            raise SimulationError("Contact does not end", time=0.0, state=tuple(x.tolist()))
-        run = simulate(dynamics, x, until=horizon, releases=1, impacts=1, settings=self.settings)
-        if not run.impacts or run.arcs[0].ending is not Ending.IMPACT:
-            raise SimulationError("No impact follows", time=horizon, state=tuple(x.tolist()))
-        arc, impact = run.arcs[0], run.impacts[0]
-        derivatives = EventDerivatives(dynamics, line.moving, self.settings.tolerance)
-        after = passage_of(arc, derivatives.passages(run)).after
-        n_x = x.size
-        end = project_to_section(dynamics, IMPACT_ROWS, impact.state_plus, dynamics.own.states(n_x))
-        return DifferentiatedReturn(
-            time=impact.time,
-            end=end,
-            by_state=after.state[:, :n_x],
-            by_parameter=after.state[:, n_x:] @ line.slopes,
-            margins=LazyMargins(lambda: _margins_of_flight(dynamics, arc, impact)),
-            volume=_volume(dynamics, arc, impact),
-            turns=turns_of_clock(dynamics, x, impact.time),
-        )
-
-
-def _margins_of_flight(
-    dynamics: HybridDynamics, arc: Arc, impact: Impact
-) -> Mapping[Margin, float]:
-    """Return the margins of a flight from an impact to the next."""
-    margins = {
-        Margin(loss=MarginKind.FREQUENCY): 1 / impact.time,
-        Margin(loss=MarginKind.FIRST_IMPACT): -impact.approach_rate,
-        **_stall(dynamics, [arc], impact.time),
-    }
-    least = _least_gap(dynamics, arc)
-    if least is not None:
-        margins[Margin(loss=MarginKind.NEAR_MISS)] = least
-    return margins
-
-
-def turns_of_clock(dynamics: HybridDynamics, x: Vector, time: float) -> float:
-    """Return the number of turns of the clock in a time, 0 without a steadily turning clock.
-
-    Args:
-        dynamics: The system.
-        x: Any state, ``(n_x,)``.
-        time: The time [s].
-    """
-    turn = steady_turn(dynamics, x)
-    return time / turn if turn else 0.0
 
 
 def _placed(margins: Sequence[Mapping[Margin, float]], n_places: int) -> Mapping[Margin, float]:
@@ -525,26 +429,39 @@ def _product(factors: Sequence[float | None]) -> float | None:
     return math.prod(known) if len(known) == len(factors) else None
 
 
-def _volume(dynamics: HybridDynamics, arc: Arc, impact: Impact) -> float | None:
-    r"""Return the factor of phase volume over a flight and its impact.
+def volume_of(graph: GraphDynamics, found: EventReturn) -> float | None:
+    r"""Return the factor of phase volume over flights and their impacts.
 
-    .. math:: \frac{w}{v}\,\frac{dw}{dv}\,\exp\int \operatorname{div} f\,dt
+    .. math:: \prod \frac{w}{v}\,\frac{dw}{dv}\,\exp\int \operatorname{div} f\,dt
 
-    with the gap rates `v` before and `w` after the impact. Return ``None`` if the divergence is not
-    constant (then damping is not linear), or if holonomic rows couple the coordinates.
+    with the gap rates `v` before and `w` after each impact. Return ``None`` if the divergence is
+    not constant (then damping is not linear), if holonomic rows couple the coordinates, or if
+    another event than an impact occurs.
+
+    Args:
+        graph: The machine.
+        found: A return.
     """
-    if dynamics.holonomic(impact.state_plus).size > bool(dynamics.clock):
+    arcs = [arc for arc in found.execution.arcs if arc.start_time < found.period]
+    simple = all(isinstance(event, Impact) for event in found.events)
+    if not simple or any(arc.closed or arc.trajectory is None for arc in arcs):
         return None
-    n_x = impact.state_plus.size
-    places = np.linspace(0.0, arc.duration, _TRACES)
-    traces = [np.trace(dynamics.free.jacobian(arc.flow_state_at(t)[:n_x])) for t in places]
-    if np.ptp(traces) > _CONSTANT * max(np.max(np.abs(traces)), 1 / impact.time):
+    if graph.first.holonomic(found.start).size > bool(graph.first.clock):
         return None
-    before = abs(impact.approach_rate)
-    speed_after = differentials_of(dynamics, ()).speed_after(impact.approach_rate)
-    by_rate = abs(float(speed_after[0]))
-    ratio = dynamics.speed_after(impact.approach_rate) / before
-    return float(ratio * by_rate * np.exp(traces[0] * impact.time))
+    volume, n_x = 1.0, found.start.size
+    for arc in arcs:
+        flow = graph.view(arc.mode_in(graph), 0).free
+        places = np.linspace(0.0, arc.duration, _TRACES)
+        traces = [np.trace(flow.jacobian(arc.flow_state_at(t)[:n_x])) for t in places]
+        if np.ptp(traces) > _CONSTANT * max(np.max(np.abs(traces)), 1 / found.period):
+            return None
+        volume *= float(np.exp(traces[0] * (arc.end_time - arc.start_time)))
+    for event in found.events:
+        if isinstance(event, Impact):
+            view = graph.open_views[graph.stop_names.index(event.stop)]
+            by_rate = float(differentials_of(view, ()).speed_after(event.approach_rate)[0])
+            volume *= view.speed_after(event.approach_rate) / event.approach_rate * by_rate
+    return abs(volume)
 
 
 _TRACES, _CONSTANT = 7, 1e-12

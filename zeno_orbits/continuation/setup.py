@@ -9,28 +9,21 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import FamilySteps
 from zeno_orbits.continuation.corrector import FamilyMetric
-from zeno_orbits.continuation.event_returns import EventReturns
-from zeno_orbits.continuation.return_maps import (
-    PATIENCE,
-    Composed,
-    ImpactReturns,
-    ReleaseReturns,
-    ReturnMap,
-)
+from zeno_orbits.continuation.return_maps import PATIENCE, Composed, EventReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, ParameterPlane
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import (
-    Cycle,
+    EventReturn,
     EventSection,
     Line,
     Orbit,
-    cycle_of,
+    SectionMode,
     event_return,
+    orbit_event_name,
     section_of_family,
 )
-from zeno_orbits.search import run_to_attractor
-from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.simulation import SimulationSettings, state_after
 from zeno_orbits.work import Checked
 
 ONE_RETURN = 1
@@ -62,8 +55,7 @@ class Setup:
         values: The problem's parameter values at the start.
         parameter: Name of the parameter that changes.
         box: Its range.
-        section: Class of the return map of a single return, or the section of a machine with
-            several stops or switches.
+        section: The section of a single return.
         metric: Units.
         simulation: Accuracy of a return.
         n_returns: Number of returns after which the orbits close.
@@ -72,7 +64,7 @@ class Setup:
     values: ParameterValues
     parameter: str
     box: tuple[float, float]
-    section: type[ReleaseReturns] | type[ImpactReturns] | EventSection
+    section: EventSection
     metric: FamilyMetric
     simulation: SimulationSettings
     n_returns: int = ONE_RETURN
@@ -80,16 +72,12 @@ class Setup:
     def returns(self, problem: Problem) -> ReturnMap:
         """Return the return map under which the orbits close."""
         line = line_in(problem, np.array(self.values.vector), self.parameter)
-        once: ReturnMap
-        if isinstance(self.section, EventSection):
-            once = EventReturns(
-                compiled=problem.compiled_graph(),
-                line=line,
-                settings=self.simulation,
-                section=self.section,
-            )
-        else:
-            once = self.section(compiled=problem.compiled(), line=line, settings=self.simulation)
+        once = EventReturns(
+            compiled=problem.compiled_graph(),
+            line=line,
+            settings=self.simulation,
+            section=self.section,
+        )
         if self.n_returns == ONE_RETURN:
             return once
         return Composed(maps=self.n_returns * (once,))
@@ -114,161 +102,26 @@ class FamilyStart:
     s: float
 
 
-def start_at_release(
-    problem: Problem,
-    orbit: Orbit,
-    parameter: str,
-    box: tuple[float, float],
-    settings: ContinuationSettings,
-) -> FamilyStart:
-    """Return the release of an orbit as the start of its family.
-
-    Args:
-        problem: The problem.
-        orbit: An orbit of the problem with one release per period.
-        parameter: Name of a gain or a parameter.
-        box: Range of the parameter, lower end first.
-        settings: Settings of the continuation.
-
-    Raises:
-        InputError: If a name or a range does not fit, or the orbit belongs to another problem.
-    """
-    _require_orbit_of(problem, orbit.problem)
-    orbit.shape.require_one_release()
-    values = orbit.values(problem)
-    x = np.array(problem.state_vector(orbit.release_state))
-    cycle = cycle_of(
-        problem.dynamics(values),
-        x,
-        orbit.shape,
-        horizon=PATIENCE * orbit.period,
-        settings=settings.simulation,
-    )
-    setup = Setup(
-        values=values,
-        parameter=parameter,
-        box=box,
-        section=ReleaseReturns,
-        metric=_metric(cycle, box, orbit.period),
-        simulation=settings.simulation,
-    )
-    return FamilyStart(setup=setup, x=x, s=_checked(problem, values, "parameter", parameter, box))
-
-
 _SAMPLES = 20
 """Least number of samples per arc for the sizes of states."""
-_SETTLED = 1e-3
-"""Largest change of the state over a period, relative to its size, at which it nearly repeats."""
+_SMALL = 1e-3
+"""Least size of a state, relative to the problem's scale."""
+_LONGER = 1e-6
+"""Relative difference of two returns by which one is longer."""
 
 
-def start_at_impact(
-    problem: Problem,
-    values: ParameterValues,
-    state: tuple[float, ...],
-    parameter: str,
-    box: tuple[float, float],
-    settings: ContinuationSettings,
-) -> FamilyStart:
-    """Return a state after an impact that nearly repeats as the start of its family.
-
-    Args:
-        problem: The problem.
-        values: Its parameter values at the start.
-        state: Initial state of a motion whose impacts converge to a periodic sequence, ``(n_x,)``.
-        parameter: Name of a gain or a parameter.
-        box: Range of the parameter, lower end first.
-        settings: Settings of the continuation.
-
-    Raises:
-        InputError: If a name or a range does not fit.
-        SimulationError: If the impacts do not converge, or contact persists.
-    """
-    s = _checked(problem, values, "parameter", parameter, box)
-    settling = run_to_attractor(problem.dynamics(values), [state], problem=problem)
-    cycle = settling.cycle
-    lacking = "The motion does not converge to an orbit without a Zeno point"
-    if cycle is None or cycle.drift(cycle.scale_at_events()) > _SETTLED:
-        reason = f"{lacking}: {settling.reason}" if settling.reason else lacking
-        raise SimulationError(reason, time=settling.waited, state=state)
-    if not cycle.shape.without_contact:
-        reason = f"{lacking}: its shape is `{cycle.shape.text}`"
-        raise SimulationError(reason, time=settling.waited, state=state)
-    return _start_of_impacts(values, parameter, box, settings, cycle, s)
-
-
-def start_at_impacts_of(
+def start_of_family(
     problem: Problem,
     orbit: Orbit,
     parameter: str,
     box: tuple[float, float],
     settings: ContinuationSettings,
 ) -> FamilyStart:
-    """Return an impact of an orbit without a contact phase as the start of its family.
+    """Return a state of an orbit after an event as the start of its family.
 
     Args:
         problem: The problem.
-        orbit: An orbit of the problem, stable or not, whose phases are impacts.
-        parameter: Name of a gain or a parameter.
-        box: Range of the parameter, lower end first.
-        settings: Settings of the continuation.
-
-    Raises:
-        InputError: If a name or a range does not fit, or the orbit belongs to another problem.
-        SimulationError: If the motion from the start of the orbit has another shape.
-    """
-    _require_orbit_of(problem, orbit.problem)
-    values = orbit.values(problem)
-    s = _checked(problem, values, "parameter", parameter, box)
-    cycle = cycle_of(
-        problem.dynamics(values),
-        np.array(problem.state_vector(orbit.start_state)),
-        orbit.shape,
-        horizon=PATIENCE * orbit.period,
-        settings=settings.simulation,
-    )
-    return _start_of_impacts(values, parameter, box, settings, cycle, s)
-
-
-def _metric(cycle: Cycle, box: tuple[float, float], period: float) -> FamilyMetric:
-    # A state may be small at every event.
-    scale = cycle.execution.own.not_small(cycle.scale(), _SETTLED)
-    return FamilyMetric(scale=scale, unit=box[1] - box[0], horizon=PATIENCE * period)
-
-
-def _start_of_impacts(
-    values: ParameterValues,
-    parameter: str,
-    box: tuple[float, float],
-    settings: ContinuationSettings,
-    cycle: Cycle,
-    s: float,
-) -> FamilyStart:
-    """Return the state after the impact that ends the longest flight of a cycle as a start."""
-    setup = Setup(
-        values=values,
-        parameter=parameter,
-        box=box,
-        section=ImpactReturns,
-        metric=_metric(cycle, box, cycle.period),
-        simulation=settings.simulation,
-        n_returns=cycle.shape.n_phases,
-    )
-    longest = max(cycle.phases, key=lambda phase: phase.end.time - phase.start.time)
-    return FamilyStart(setup=setup, x=longest.end.state, s=s)
-
-
-def start_at_event(
-    problem: Problem,
-    orbit: Orbit,
-    parameter: str,
-    box: tuple[float, float],
-    settings: ContinuationSettings,
-) -> FamilyStart:
-    """Return the start of an orbit given by its events as the start of its family.
-
-    Args:
-        problem: The problem.
-        orbit: An orbit of the problem.
+        orbit: An orbit of the problem, stable or not.
         parameter: Name of a gain or a parameter.
         box: Range of the parameter, lower end first.
         settings: Settings of the continuation.
@@ -277,20 +130,22 @@ def start_at_event(
         InputError: If a name or a range does not fit, or the orbit belongs to another problem.
         SimulationError: If the orbit does not return.
     """
-    _require_orbit_of(problem, orbit.problem)
+    if orbit.problem != problem.name:
+        message = f"must be of problem `{problem.name}`, but it is of `{orbit.problem}`"
+        raise InputError(f"Argument `orbit` {message}.")
     values = orbit.values(problem)
     s = _checked(problem, values, "parameter", parameter, box)
     graph = problem.graph_dynamics(values)
-    x = np.array(problem.state_vector(orbit.start_state))
     found = event_return(
         graph,
-        x,
+        np.array(problem.state_vector(orbit.start_state)),
         section=orbit.section,
         n_returns=orbit.n_returns,
         guess=orbit.period,
         settings=settings.simulation,
     )
-    section, x = section_of_family(found)
+    section, n_returns, x = _single_return(found, *section_of_family(found))
+    largest = np.max(np.abs(found.execution.sampled(_SAMPLES)[1]), axis=0)
     setup = Setup(
         values=values,
         parameter=parameter,
@@ -298,15 +153,54 @@ def start_at_event(
         section=section,
         metric=FamilyMetric(
             # A state may be small at every event, such as the phase of a clock.
-            scale=graph.own.not_small(
-                np.max(np.abs(found.execution.sampled(_SAMPLES)[1]), axis=0), _SETTLED
-            ),
+            scale=graph.own.not_small(largest, _SMALL),
             unit=box[1] - box[0],
-            horizon=PATIENCE * orbit.period,
+            horizon=PATIENCE * found.period / n_returns,
         ),
         simulation=settings.simulation,
+        n_returns=n_returns,
     )
     return FamilyStart(setup=setup, x=x, s=s)
+
+
+def _single_return(
+    found: EventReturn, section: EventSection, x: Vector
+) -> tuple[EventSection, int, Vector]:
+    """Return the section of one of several equal event sequences, their number, and a start.
+
+    A period may repeat its event sequence, in the same modes. It starts at the end of the longest
+    sequence, so that the returns of its family are counted from there.
+
+    Args:
+        found: The return of the orbit.
+        section: The section of the whole period.
+        x: The state of the orbit on it.
+    """
+    marks = [event for event in found.events if orbit_event_name(event) == section.name]
+    starts_at_end = section.name == orbit_event_name(found.events[-1])
+    for n in range(section.n_returns, 1, -1):
+        each = section.n_returns // n
+        size = len(section.sequence) // n
+        if section.n_returns % n or section.sequence != n * section.sequence[:size]:
+            continue
+        first = each - 1 if starts_at_end else 0
+        ends = marks[first::each]
+        modes = [SectionMode.after(found.execution, section.name, one.time) for one in ends]
+        if any(mode not in (None, section.mode) for mode in modes):
+            continue
+        waits = np.diff([ends[-1].time - found.period, *(one.time for one in ends)])
+        own = len(ends) - 1 if starts_at_end else 0
+        longest = int(np.argmax(waits))
+        if waits[longest] > (1 + _LONGER) * waits[own]:
+            x = state_after(ends[longest])
+        one = replace(
+            section,
+            n_returns=each,
+            sequence=section.sequence[:size],
+            openings=section.openings[::n],
+        )
+        return one, n, x
+    return section, 1, x
 
 
 def plane_of(
@@ -349,17 +243,6 @@ def line_in(problem: Problem, p: Vector, parameter: str) -> Line:
     direction = np.zeros(p.size)
     direction[problem.place(parameter, argument="parameter")] = 1.0
     return Line(origin=p * (1 - direction), direction=direction)
-
-
-def _require_orbit_of(problem: Problem, name: str) -> None:
-    """Reject an orbit of another problem.
-
-    Raises:
-        InputError: If the name is another.
-    """
-    if name != problem.name:
-        message = f"must be of problem `{problem.name}`, but it is of `{name}`"
-        raise InputError(f"Argument `orbit` {message}.")
 
 
 def _checked(

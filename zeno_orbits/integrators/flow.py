@@ -120,6 +120,10 @@ class FlowWithEvent(Protocol):
         """Return the guard at states ``(n, n_y)``, ``(n,)``."""
         ...
 
+    def guard_rates(self, states: Vector) -> Vector:
+        """Return the time derivative of the guard at states ``(n, n_y)``, ``(n,)``."""
+        ...
+
     @property
     def is_bounded(self) -> bool:
         """True if the guard varies otherwise than the state, and its bounds in a box are known."""
@@ -199,6 +203,10 @@ class PlainFlow:
     def guards(self, states: Vector) -> Vector:
         """Return the guard at states ``(n, n_y)``, ``(n,)``."""
         return np.array([self.guard_and_rate(y)[0] for y in states])
+
+    def guard_rates(self, states: Vector) -> Vector:
+        """Return the time derivative of the guard at states ``(n, n_y)``, ``(n,)``."""
+        return np.array([self.guard_and_rate(y)[1] for y in states])
 
     @property
     def is_bounded(self) -> bool:

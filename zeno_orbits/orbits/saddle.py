@@ -56,11 +56,11 @@ def nearest_saddle(
     for arc in arcs:
         if arc.trajectory is None:
             continue
-        flow = flow_of(arc)
-        for x in arc.flow_states[:, :n_x]:
-            speed = float(np.max(np.abs(flow.rate(x)) / sizes))
-            if speed < slowest:
-                slowest, found = speed, (flow, x)
+        flow, states = flow_of(arc), arc.flow_states[:, :n_x]
+        speeds = np.max(np.abs(flow.rates(states)) / sizes, axis=1)
+        k = int(np.argmin(speeds))
+        if speeds[k] < slowest:
+            slowest, found = float(speeds[k]), (flow, states[k])
     if found is None:
         return None
     flow, start = found

@@ -41,8 +41,10 @@ from .derivatives.sensitivity import change_of as change_of
 from .signals import Extent as Extent
 from .signals import Signal as Signal
 from .signals import extent_of as extent_of
-from .signals import least_inside as least_inside
+from .signals import Lows as Lows
+from .signals import Samples as Samples
 from .signals import lows_inside as lows_inside
+from .signals import samples_inside as samples_inside
 from .signals import peaks as peaks
 from .signals import signal as signal
 from .signals import signal_names as signal_names

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.arrays import Scalar, Vector
+from zeno_orbits.arrays import Vector
 from zeno_orbits.model import CompiledSystem
 from zeno_orbits.simulation.execution import Arc
 
@@ -144,42 +144,85 @@ _EDGE = 1e-3
 """Part of an arc at its ends that is not its inside: a flight starts with its rate at zero."""
 
 
-def least_inside(arc: Arc, value: Scalar, rate: Scalar) -> float | None:
-    """Return the least local minimum of a function inside an arc, or ``None`` without any.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Samples:
+    """States inside an arc, at its engine's steps and between them.
 
-    Args:
-        arc: An arc with a flow.
-        value: The function of the state.
-        rate: Its time derivative along the arc.
+    Attributes:
+        arc: The arc.
+        times: The flow's own times, ``(n,)``.
+        states: States at these times, ``(n, n_x)``.
     """
-    return min((value(x) for x in lows_inside(arc, rate)), default=None)
+
+    arc: Arc
+    times: Vector
+    states: Vector
+
+    def state_at(self, time: float) -> Vector:
+        """Return the state at one of the flow's own times, ``(n_x,)``."""
+        return self.arc.flow_state_at(time)[: self.states.shape[1]]
 
 
-def lows_inside(arc: Arc, rate: Scalar) -> list[Vector]:
-    """Return the states of the local minima of a function inside an arc, ``(n_x,)`` each.
+def samples_inside(arc: Arc, *, is_short: bool = False) -> Samples:
+    """Return states inside an arc, none for an arc without duration.
 
     Args:
         arc: An arc with a flow.
-        rate: The time derivative of the function along the arc.
+        is_short: True for a late flight between accumulating impacts, for which the engine's steps
+            are samples enough.
+    """
+    duration, own, n_x = arc.duration, arc.flow_times, len(arc.start_state)
+    if duration <= 0.0 or (is_short and len(own) > _FEW):
+        return Samples(arc=arc, times=own[1:-1], states=arc.flow_states[1:-1, :n_x])
+    inside = np.linspace(_EDGE * duration, (1 - _EDGE) * duration, _LEAST_SAMPLES)
+    steps = own[(own > inside[0]) & (own < inside[-1])]
+    inside = np.unique(np.concatenate([inside, steps]))
+    return Samples(arc=arc, times=inside, states=arc.flow_states_at(inside)[:, :n_x])
+
+
+_FEW = 3
+"""Number of the engine's times in a flight that are too few samples."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lows:
+    """Local minima of a function inside an arc.
+
+    Attributes:
+        states: States at the minima, ``(n_x,)`` each.
+        falls: True if the function falls just before the end of the arc.
+        rises: True if the function rises just after the start of the arc.
+    """
+
+    states: tuple[Vector, ...] = ()
+    falls: bool = False
+    rises: bool = False
+
+
+def lows_inside(inside: Sequence[Samples], rate: Callable[[Vector], Vector]) -> list[Lows]:
+    """Return the local minima of a function inside each of several arcs.
+
+    Args:
+        inside: Samples of the arcs.
+        rate: The time derivative of the function along the arcs, from states ``(n, n_x)`` to
+            ``(n,)``.
     """
     from scipy.optimize import brentq
 
-    duration = arc.duration
-    if duration <= 0.0:
-        return []
-    inside = np.linspace(_EDGE * duration, (1 - _EDGE) * duration, _LEAST_SAMPLES)
-    own = arc.flow_times
-    inside = np.union1d(inside, own[(own > inside[0]) & (own < inside[-1])])
-    n_x = len(arc.start_state)
+    def rate_at(time: float, one: Samples) -> float:
+        return float(rate(one.state_at(time)[None])[0])
 
-    def state(t: float) -> Vector:
-        return arc.flow_state_at(t)[:n_x]
-
-    rates = [rate(x) for x in arc.flow_states_at(inside)[:, :n_x]]
-    found: list[Vector] = []
-    for k in range(len(inside) - 1):
-        if rates[k] < 0.0 <= rates[k + 1]:
-            left, right = float(inside[k]), float(inside[k + 1])
-            root = float(brentq(lambda t: rate(state(t)), left, right, xtol=1e-14))
-            found.append(state(root))
+    ends = np.cumsum([len(one.times) for one in inside])
+    rates = np.split(rate(np.concatenate([one.states for one in inside])), ends[:-1])
+    found: list[Lows] = []
+    for one, values in zip(inside, rates, strict=True):
+        low = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))
+        roots = [brentq(rate_at, *one.times[k : k + 2], args=(one,), xtol=1e-14) for k in low]
+        found.append(
+            Lows(
+                states=tuple(map(one.state_at, roots)),
+                falls=bool(values.size and values[-1] < 0.0),
+                rises=bool(values.size and values[0] > 0.0),
+            )
+        )
     return found

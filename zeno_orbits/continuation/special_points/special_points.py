@@ -38,8 +38,7 @@ class Located:
         multipliers: Multipliers of the orbit, the largest first. At an end, they are the limits.
         multiplier_error: Estimated error of the multipliers.
         margins: Margins of the orbit. At an end, they are the limits.
-        place: Index of the return that causes an end, from 0.
-        name: Name of the stop or switch that enters at an end, if there is one.
+        cause: The margin that vanishes at an end. ``None`` inside a family.
         rest: The rest point at which a motion stalls, ``(n_x,)``. Empty if it is not known.
         path: Points of the family on the way to an end, in order.
         also: Other kinds of an end of codimension two.
@@ -53,8 +52,7 @@ class Located:
     margins: Mapping[Margin, float]
     multipliers: tuple[complex, ...]
     multiplier_error: float = math.inf
-    place: int = 0
-    name: str = ""
+    cause: Margin | None = None
     rest: tuple[float, ...] = ()
     path: tuple[BranchPoint, ...] = ()
     also: tuple[SpecialPointKind, ...] = ()

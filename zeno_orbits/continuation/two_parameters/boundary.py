@@ -45,7 +45,7 @@ def half_boundary(setup: CurveSetup, start: CurveStart, *, upwards: bool) -> Hal
     def relative(point: BranchPoint) -> ApproachPoint:
         state = (point.x - found.z[:-1] * metric.scale) / metric.scale
         away = (point.z[-1] - found.z[-1]) / (plane.units[0] / unit)
-        left = left_of(point, found.kind, found.place)
+        left = left_of(point, found.cause)
         return ApproachPoint(state=state, away=np.array([away, 0.0]), left=left)
 
     first = SpecialCurvePoint(
@@ -53,7 +53,7 @@ def half_boundary(setup: CurveSetup, start: CurveStart, *, upwards: bool) -> Hal
         located=replace(found, z=np.append(found.z[:-1], 0.0), error=found.error / plane.units[0]),
         before=tuple(relative(point) for point in start.leading),
     )
-    spots, end = SecantCurve(setup, found.kind, found.place).run(first, upwards=upwards)
+    spots, end = SecantCurve(setup, found.kind, found.cause).run(first, upwards=upwards)
     values = np.array([spot.at * plane.units for spot in spots])
     return HalfCurve(
         x=tuple(values[:, 0].tolist()),

@@ -71,8 +71,8 @@ class ApproachPoint:
 class SecantCurve:
     """Follow a curve by secants."""
 
-    def __init__(self, setup: CurveSetup, kind: SpecialPointKind, place: int) -> None:
-        self.setup, self.kind, self.place = setup, kind, place
+    def __init__(self, setup: CurveSetup, kind: SpecialPointKind, cause: Margin | None) -> None:
+        self.setup, self.kind, self.cause = setup, kind, cause
         self.plane, self.metric, self.steps = setup.plane, setup.metric, setup.steps
         self.forward = np.zeros(2)
 
@@ -192,11 +192,11 @@ class SecantCurve:
             gone = float(np.linalg.norm(last.at - earlier.at))
             ahead = float(np.linalg.norm(at - last.at))
             z = z + ahead / gone * (last.located.z[:-1] - earlier.located.z[:-1])
-        if self.kind in INSIDE:
+        if self.cause is None:
             located = self._inside(returns, np.append(z, 0.0))
             before = last.before
         else:
-            located, before = self._end(returns, z, last, across)
+            located, before = self._end(returns, z, last, across, self.cause)
         if located.kind is not self.kind:
             raise SimulationError("The end has another cause", time=0.0, state=())
         if not located.error < _CERTAIN:
@@ -212,24 +212,26 @@ class SecantCurve:
         return located_near(returns, self.metric, start, self.kind, test)
 
     def _end(
-        self, returns: ReturnMap, z: Vector, last: SpecialCurvePoint, across: Vector
+        self,
+        returns: ReturnMap,
+        z: Vector,
+        last: SpecialCurvePoint,
+        across: Vector,
+        cause: Margin,
     ) -> tuple[Located, tuple[ApproachPoint, ...]]:
         """Return an end, approached from points at the same distances as the last end."""
-        if (
-            self.kind is SpecialPointKind.LOCK_VANISHES
-            and returns.restitution(0.0, self.place) > 0.0
-        ):
+        if cause.loss is MarginKind.LOCK and returns.restitution(0.0, cause.place) > 0.0:
             along = last.located.point.tangent
-            found = locate_cut_near(returns, self.metric, np.append(z, 0.0), along, self.place)
+            found = locate_cut_near(returns, self.metric, np.append(z, 0.0), along, cause)
             return found, last.before
         points = [self._ahead(returns, z, one, across) for one in last.before]
-        threat = VanishingMargin(margin=_margin(self.kind, self.place), distance=np.inf, fall=1.0)
+        threat = VanishingMargin(margin=cause, distance=np.inf, fall=1.0)
         located = locate_end(returns, self.metric, points, threat)
         before = tuple(
             ApproachPoint(
                 state=point.z[:-1] - located.z[:-1],
                 away=(point.s - located.z[-1]) * across,
-                left=left_of(point, self.kind, self.place),
+                left=left_of(point, cause),
             )
             for point in points
         )
@@ -246,7 +248,7 @@ class SecantCurve:
         target = np.append(z + before.state, place)
         normal = np.append(-before.state, -place)
         point = correct(returns, self.metric, target, normal / np.linalg.norm(normal))
-        left = left_of(point, self.kind, self.place)
+        left = left_of(point, self.cause)
         # Two families may be so close at an end that Newton's method jumps to the other family.
         if not 1 / _LIKE < left / before.left < _LIKE:
             raise SimulationError(
@@ -261,20 +263,14 @@ def _direction(last: SpecialCurvePoint, new: SpecialCurvePoint) -> Vector:
     return np.asarray(chord / np.linalg.norm(chord), dtype=np.float64)
 
 
-def _margin(kind: SpecialPointKind, place: int) -> Margin:
-    """Return the margin that vanishes at an end."""
-    return Margin(loss=next(loss for loss, end in ENDS.items() if end is kind), place=place)
-
-
-def left_of(point: BranchPoint, kind: SpecialPointKind, place: int) -> float:
+def left_of(point: BranchPoint, cause: Margin | None) -> float:
     """Return the value, at a point of a family, of the margin that vanishes at an end.
 
     Args:
         point: The point.
-        kind: Kind of the end.
-        place: Index of the return that causes the end, from 0.
+        cause: The margin. ``None`` inside a family.
     """
-    return point.found.margins.get(_margin(kind, place), np.nan)
+    return np.nan if cause is None else point.found.margins.get(cause, np.nan)
 
 
 _LIKE = 1.4

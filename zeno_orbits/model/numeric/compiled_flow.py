@@ -351,8 +351,15 @@ class CompiledFlow:
 
     def guards(self, states: Vector) -> Vector:
         """Return the guard at states ``(n, n_y)``, ``(n,)``."""
+        return self._guards_and_rates(states)[:, 0]
+
+    def guard_rates(self, states: Vector) -> Vector:
+        """Return the time derivative of the guard at states ``(n, n_y)``, ``(n,)``."""
+        return self._guards_and_rates(states)[:, 1]
+
+    def _guards_and_rates(self, states: Vector) -> Vector:
         p = np.broadcast_to(self.p, (len(states), self.p.size))
-        return self._memory.guards(states, p)[0][:, 0]
+        return self._memory.guards(states, p)[0]
 
     @property
     def weights(self) -> tuple[float, ...]:

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from zeno_orbits.arrays import Scalar, Vector
+from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model import GraphDynamics, HybridDynamics
 from zeno_orbits.orbits.events.section import EventReturn, fall_at
@@ -24,10 +24,12 @@ from zeno_orbits.simulation import (
     Ending,
     Event,
     Impact,
+    Lows,
     Release,
     SwitchEvent,
     ZenoPoint,
     lows_inside,
+    samples_inside,
     state_before,
 )
 
@@ -88,11 +90,11 @@ def margins_of_return(graph: GraphDynamics, found: EventReturn) -> Mapping[Margi
     phases = phases_of_events([orbit_event_name(event) for event in found.events])
     states = np.array([found.start, *(state_before(event) for event in found.events)])
     flights = {found.events[phase[0]].time for phase in phases}
+    n_x = found.start.size
     inside = [
-        _inside(arc, part)[None]
+        arc.flow_states_at(arc.duration * _PARTS)[:, :n_x]
         for arc in arcs
         if arc.trajectory is not None and arc.end_time in flights
-        for part in _PARTS
     ]
     # A state may be the same at every event.
     ranges = np.delete(np.ptp(np.concatenate([states, *inside]), axis=0), graph.first.clock)
@@ -134,7 +136,7 @@ def margins_of_return(graph: GraphDynamics, found: EventReturn) -> Mapping[Margi
     return margins
 
 
-_PARTS = (0.25, 0.5, 0.75)
+_PARTS = np.array([0.25, 0.5, 0.75])
 """Fractions of an arc at which states are compared. Since they are fixed, the range is smooth."""
 
 
@@ -235,26 +237,29 @@ class _Guard:
     """A condition that holds along an arc, and whose loss is an event outside the event sequence.
 
     Attributes:
-        value: The condition, positive along the arc.
-        rate: Its rate along the arc.
+        flow: Flow of the arc with the condition as its guard.
         zero: Level at which the condition is zero: its own event ends or begins the arc there.
         is_above: Whether it holds above zero. A declared switch acts where its guard falls.
         is_declared: Whether it belongs to a declared switch.
     """
 
-    value: Scalar
-    rate: Scalar
+    flow: FlowWithEvent
     zero: float
     is_above: bool = True
     is_declared: bool = False
+
+    def value(self, x: Vector) -> float:
+        """Return the condition at a state."""
+        return self.flow.guard(x)[0]
 
 
 _Key = tuple[MarginKind, str]
 """Kind of a margin, and the name of its stop or switch."""
 
-_ZERO, _JUMP, _EDGE = 1e-12, 1e-6, 1e-3
-"""Size of a condition that is zero, over its scale, least relative change that is a jump, and part
-of an arc next to its ends, where the sign of a rate is taken."""
+_LONG_FLIGHTS = 3
+"""Number of flights of accumulating impacts that are sampled as any other flight."""
+_ZERO, _JUMP = 1e-12, 1e-6
+"""Size of a condition that is zero, over its scale, and least relative change that is a jump."""
 
 
 def _margins_outside(
@@ -277,9 +282,10 @@ def _margins_outside(
         switch = graph.switch_names.index(key[1])
         return switch >= graph.n_declared or graph.guards(x, arc.sides)[2][switch] > 0.0
 
-    for arc, place, known in zip(flown, places, conditions, strict=True):
+    lows = _lows(flown, conditions, found.events, phases)
+    for arc, place, known, low in zip(flown, places, conditions, lows, strict=True):
         for key, guard in known.items():
-            for x in lows_inside(arc, guard.rate):
+            for x in low[key].states:
                 if is_armed(key, x, arc):
                     yield Margin(loss=key[0], place=place, name=key[1]), guard.value(x)
     for k, after in enumerate(flown):
@@ -287,13 +293,13 @@ def _margins_outside(
         for key, guard in conditions[k - 1].items():
             other = conditions[k].get(key)
             x, y = before.end_state, after.start_state
-            if other is None or not is_armed(key, x, before):
+            # Its rate may be zero at the event itself, as that of a gap at a kink of the speed.
+            falls = lows[k - 1][key].falls
+            rises = other is not None and lows[k][key].rises
+            if other is None or not (falls or rises) or not is_armed(key, x, before):
                 continue
             left, right = guard.value(x), other.value(y)
             ended, began = left <= guard.zero, right <= other.zero
-            # Its rate may be zero at the event itself, as that of a gap at a kink of the speed.
-            falls = guard.rate(_inside(before, 1 - _EDGE)) < 0.0
-            rises = other.rate(_inside(after, _EDGE)) > 0.0
             turns = guard.is_above != other.is_above
             jumps = turns or abs(right - left) > _JUMP * max(left, right)
             # The tail of a Zeno point lies between two arcs that do not meet.
@@ -306,6 +312,29 @@ def _margins_outside(
                 yield Margin(loss=key[0], place=places[k], name=key[1]), right
     yield from _of_contacts(graph, found, flown, places)
     yield from _of_arming(graph, found, arcs, ends)
+
+
+def _lows(
+    flown: Sequence[Arc],
+    conditions: Sequence[Mapping[_Key, _Guard]],
+    events: Sequence[Event],
+    phases: Sequence[Sequence[int]],
+) -> list[dict[_Key, Lows]]:
+    """Return the minima of all conditions inside each arc."""
+    # The first flights of accumulating impacts may be long.
+    short = {events[k].time for phase in phases for k in phase[_LONG_FLIGHTS:]}
+    inside = [samples_inside(arc, is_short=arc.end_time in short) for arc in flown]
+    # A flow is asked once for all arcs on which a condition is its guard.
+    together: dict[tuple[_Key, int], list[int]] = {}
+    for k, known in enumerate(conditions):
+        for key, guard in known.items():
+            together.setdefault((key, id(guard.flow)), []).append(k)
+    lows: list[dict[_Key, Lows]] = [{} for _ in flown]
+    for (key, _), arcs in together.items():
+        rates = conditions[arcs[0]][key].flow.guard_rates
+        for k, one in zip(arcs, lows_inside([inside[k] for k in arcs], rates), strict=True):
+            lows[k][key] = one
+    return lows
 
 
 def _accumulating(
@@ -331,12 +360,11 @@ def _conditions(
         if k in mode[0]:
             view = graph.holding(mode, k)
             zero = _ZERO * view.own.multiplier
-            guard = _Guard(value=view.multiplier, rate=view.multiplier_rate, zero=zero)
-            found[MarginKind.ADHESION, name] = guard
+            found[MarginKind.ADHESION, name] = _Guard(flow=view.locked, zero=zero)
         else:
             view = graph.view(mode, k)
-            guard = _Guard(value=view.gap, rate=view.gap_rate, zero=_ZERO * view.own.gap)
-            found[MarginKind.NEAR_MISS, name] = guard
+            zero = _ZERO * view.own.gap
+            found[MarginKind.NEAR_MISS, name] = _Guard(flow=view.free, zero=zero)
     if not graph.switch_names:
         return found
     guards, levels, _ = graph.guards(_inside(arc, 0.5), arc.sides)
@@ -353,8 +381,7 @@ def _conditions(
         is_above = guards[switch] > 0.0 if is_declared else arc.sides[switch - graph.n_declared]
         flow = graph.guard_flow(mode, switch, bool(is_above))
         found[MarginKind.SWITCH_MISS, name] = _Guard(
-            value=lambda x, flow=flow: flow.guard(x)[0],
-            rate=lambda x, flow=flow: flow.guard(x)[1],
+            flow=flow,
             zero=_LEVELS * float(levels[switch]),
             is_above=bool(is_above),
             is_declared=is_declared,
@@ -369,7 +396,7 @@ _LEVELS = 1e3
 def _of_contacts(
     graph: GraphDynamics, found: EventReturn, arcs: Sequence[Arc], places: Sequence[int]
 ) -> Iterator[tuple[Margin, float]]:
-    """Yield the margins of plastic contacts that begin, and of contacts that end without a release.
+    """Yield the margins of contacts that begin, and of contacts that end without a release.
 
     A jump of the force opens a stop, and so does a plastic impact after which the force pulls.
     """
@@ -383,8 +410,7 @@ def _of_contacts(
                 graph.holding((closed, sides), graph.stop_names.index(name)),
                 after.start_state,
             )
-            if view.restitution == 0.0 and view.multiplier_rate(x) > 0.0:
-                yield Margin(loss=MarginKind.ACCELERATION, place=place), -view.gap_acceleration(x)
+            yield Margin(loss=MarginKind.ACCELERATION, place=place), -view.gap_acceleration(x)
         opened = set(before.closed) if before.ending is not Ending.RELEASE else set[str]()
         for name in opened - set(after.closed):
             mode, x = before.mode_in(graph), before.end_state

@@ -679,7 +679,8 @@ def kept_section(
 ) -> Section:
     """Return a chart of the admissible states around a state.
 
-    They keep the constraints, the circle of the clock, and gap and gap rate of the closed stops.
+    They keep the constraints, the circle of the clock, and gap and gap rate of the closed stops. A
+    stop that is just left keeps its gap, and a stop that is just released its contact force.
 
     Args:
         graph: The graph of modes.
@@ -693,6 +694,11 @@ def kept_section(
     rows = [
         differentials_of(graph.holding(at, k), chosen).contact(x)[list(REST_ROWS)] for k in at[0]
     ]
+    left = mode.stop or mode.released
+    if left:
+        view = graph.view(at, graph.stop_names.index(left))
+        own = IMPACT_ROWS if mode.stop else RELEASE_ROWS
+        rows.append(differentials_of(view, chosen).contact(x)[list(own)])
     gradient = np.concatenate([differentials_of(graph.first, chosen).holonomic(x), *rows])
     section = section_of(gradient[:, :n_x] * scale, x, scale)
     return replace(section, drift=-scale[:, None] * (section.normal @ gradient[:, n_x:]))
