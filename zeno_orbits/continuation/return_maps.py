@@ -189,18 +189,30 @@ PATIENCE = 4.0
 """Longest time to wait for a return, in periods of the start."""
 
 
+_Values = tuple[float, ...]
+"""All parameter values, ``(n_p,)``."""
+
+
+@lru_cache(maxsize=2)
+def _graph_of(compiled: CompiledGraph, values: _Values, thread: int) -> GraphDynamics:
+    """Return the machine at some values. Two threads must not share its memory."""
+    del thread
+    return GraphDynamics(compiled, values)
+
+
 @lru_cache(maxsize=8)
-def _graph_at(compiled: CompiledGraph, values: tuple[float, ...], thread: int) -> GraphDynamics:
+def _graph_at(
+    compiled: CompiledGraph, start: _Values, values: _Values, thread: int
+) -> GraphDynamics:
     """Return the machine at some values, which a return and its section share in one thread.
 
-    Its calls write to memory of their own, so that two threads must not share a machine.
+    It has the scales of the start of its family, on which all returns depend alike.
 
     Raises:
         SimulationError: If the values are invalid, such as a negative restitution.
     """
-    del thread
-    graph = GraphDynamics(compiled, values)
     try:
+        graph = _graph_of(compiled, start, thread).at(values)
         _ = graph.open_views
     except InputError as error:
         raise SimulationError(str(error), time=0.0, state=()) from error
@@ -213,6 +225,7 @@ class EventReturns:
 
     Attributes:
         compiled: Functions of the problem.
+        start: All parameter values at the start of the family.
         line: The line of parameters.
         settings: Accuracy.
         section: The section.
@@ -222,6 +235,7 @@ class EventReturns:
     """
 
     compiled: CompiledGraph
+    start: _Values
     line: Line
     settings: SimulationSettings
     section: EventSection
@@ -234,7 +248,8 @@ class EventReturns:
 
     def dynamics(self, s: float) -> GraphDynamics:
         """Return the machine at a position on the line."""
-        return _graph_at(self.compiled, tuple(self.line.at(s).tolist()), get_ident())
+        values = tuple(self.line.at(s).tolist())
+        return _graph_at(self.compiled, self.start, values, get_ident())
 
     def restitution(self, s: float, place: int = 0) -> float:
         """Return the coefficient of restitution of the stop of an event.

@@ -74,6 +74,7 @@ class Setup:
         line = line_in(problem, np.array(self.values.vector), self.parameter)
         once = EventReturns(
             compiled=problem.compiled_graph(),
+            start=tuple(self.values.vector),
             line=line,
             settings=self.simulation,
             section=self.section,
