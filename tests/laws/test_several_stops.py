@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 
 import casadi as ca
@@ -203,9 +202,6 @@ def test_folds_of_impact_pairs_lie_on_their_curve_in_two_parameters() -> None:
     (curve,) = found.boundaries
     assert max(curve.y) - min(curve.y) > 0.01
     assert curve.x == pytest.approx([fold(e) for e in curve.y], rel=1e-11)
-    ends = replace(second, kinds=(SpecialPointKind.LOCK_VANISHES,))
-    with pytest.raises(zo.InputError, match="another kind than ends"):
-        zo.continue_orbit(orbit, ("d", *box), problem=BOX, parameter2=ends)
 
 
 def hopper(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:

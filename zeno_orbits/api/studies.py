@@ -22,7 +22,7 @@ from zeno_orbits.api.inputs import (
     plan_of,
     problem_of,
 )
-from zeno_orbits.errors import InputError, named_numbers
+from zeno_orbits.errors import named_numbers
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import ExecutionPlan, Progress, Workers, silent
@@ -54,13 +54,12 @@ def continue_orbit(
     """Return the solution branch of an orbit in a gain or parameter, with its special points.
 
     Args:
-        orbit: The orbit, or its file, with one Zeno point per period, or with impacts only.
+        orbit: The orbit, or its file.
         parameter: Name of the gain or parameter, and its range, ``("Kd", -2.5, 0)``. The range
             contains the value of the orbit. Parameters derived from it keep their values.
         problem: The orbit's problem. The default is the bundled problem of its name.
         parameter2: A second parameter and its range, in which the special points are continued as
-            curves. `second_parameter` chooses kinds of points. Curves of ends need a machine with
-            one stop and no switch.
+            curves. `second_parameter` chooses kinds of points.
         settings: Accuracy and steps.
         workers: Number of processes. Several processes need the name or the file of the problem.
         plan: Executor of the work and folder of finished parts. It overrides ``workers``.
@@ -78,9 +77,6 @@ def continue_orbit(
     if isinstance(second, tuple | list):
         second = second_parameter(*as_span("parameter2", second))
     orbit = any_orbit(orbit)
-    if orbit.has_phases and not (orbit.shape.has_one_release or orbit.shape.without_contact):
-        wanted = "must have one Zeno point per period, or impacts without a contact phase"
-        raise InputError(f"Argument `orbit` {wanted}, but its shape is `{orbit.shape.text}`.")
     known = problem_of(orbit, problem)
     with _crew(known, plan_of(workers, plan), on_progress) as crew:
         known = known if crew is None else crew.problem_file.load()

@@ -74,22 +74,23 @@ class SecantCurve:
     def __init__(self, setup: CurveSetup, kind: SpecialPointKind, cause: Margin | None) -> None:
         self.setup, self.kind, self.cause = setup, kind, cause
         self.plane, self.metric, self.steps = setup.plane, setup.metric, setup.steps
-        self.forward = np.zeros(2)
+        # Direction of the curve, and the change of the scaled state per unit along it.
+        self.forward, self.slope = np.zeros(2), np.zeros(setup.metric.scale.size)
 
     def run(
         self, first: SpecialCurvePoint, *, upwards: bool
     ) -> tuple[Sequence[SpecialCurvePoint], str]:
         """Return the curve from a point in one direction, and the reason of its end."""
         try:
-            heading = self._heading(first)
+            heading, slope = self._heading(first)
         except ZenoOrbitsError as error:
             return [first], f"{SpecialPointKind.GAVE_UP.value}: {error}"
-        self.forward = heading if upwards else -heading
+        self.forward, self.slope = (heading, slope) if upwards else (-heading, -slope)
         path = follow_path(first, self.steps, self._advance, give_up=self._last_end)
         return path.points, path.end or counted(round(self.steps.most), "step")
 
-    def _heading(self, first: SpecialCurvePoint) -> Vector:
-        """Return the direction of the curve at its first point, upwards if possible.
+    def _heading(self, first: SpecialCurvePoint) -> tuple[Vector, Vector]:
+        """Return the direction of the curve at its first point, upwards, and its slope.
 
         A line across a guessed direction intersects the curve at another point. The chord to that
         point gives the direction.
@@ -102,14 +103,13 @@ class SecantCurve:
             for guess in _GUESSES:
                 at = first.at + step * guess
                 try:
-                    new = self._located(first, at, guess, [first])
+                    new = self._located(first, at, guess)
                 except ZenoOrbitsError as error:
                     trouble = str(error)
                     continue
-                way = new.at - first.at
                 if float(np.linalg.norm(new.at - at)) <= step:
-                    way = way / np.linalg.norm(way)
-                    return way if way[1] >= 0.0 else -way
+                    way, slope = _chord(first, new)
+                    return (way, slope) if way[1] >= 0.0 else (-way, -slope)
                 trouble = "the curve bends too fast"
             step /= 8
         raise SimulationError(trouble, time=0.0, state=())
@@ -125,12 +125,12 @@ class SecantCurve:
             if reach < self.steps.shortest or reach > step:
                 return PathStep(end=SpecialPointKind.BOUND.value)
             at = last.at + reach * forward
-        new = self._located(last, at, forward, spots)
+        new = self._located(last, at, forward)
         strayed = float(np.linalg.norm(new.at - at))
         if not self._fits(last, new, at, forward):
             if strayed < step:
                 # A chord is less accurate at its end than the direction that was just found.
-                self.forward = _direction(last, new)
+                self.forward, self.slope = _chord(last, new)
             raise StepError("the curve bends too fast")
         if not 1 / _LIKE < new.located.period / last.located.period < _LIKE:
             raise StepError("the period jumps")
@@ -139,7 +139,7 @@ class SecantCurve:
         if not self.plane.holds(new.at):
             # The curve leaves the plane next to the predicted point.
             raise StepError(SpecialPointKind.BOUND.value)
-        self.forward = _direction(last, new)
+        self.forward, self.slope = _chord(last, new)
         self.setup.report(self.kind.value, new.at)
         return PathStep(points=(new,), easy=strayed < self.steps.bend * step / 3)
 
@@ -176,22 +176,11 @@ class SecantCurve:
         near = float(np.linalg.norm(new.at - at)) < self.steps.bend * step
         return near and float((new.at - last.at) @ forward) > 0.0
 
-    def _located(
-        self,
-        last: SpecialCurvePoint,
-        at: Vector,
-        forward: Vector,
-        spots: Sequence[SpecialCurvePoint],
-    ) -> SpecialCurvePoint:
+    def _located(self, last: SpecialCurvePoint, at: Vector, forward: Vector) -> SpecialCurvePoint:
         """Return the special point on the line across the curve through a point of the plane."""
         across = np.array([forward[1], -forward[0]])
         returns = self.setup.returns_on(at, across)
-        z = last.located.z[:-1]
-        if len(spots) > 1:
-            earlier = spots[-2]
-            gone = float(np.linalg.norm(last.at - earlier.at))
-            ahead = float(np.linalg.norm(at - last.at))
-            z = z + ahead / gone * (last.located.z[:-1] - earlier.located.z[:-1])
+        z = last.located.z[:-1] + float(np.linalg.norm(at - last.at)) * self.slope
         if self.cause is None:
             located = self._inside(returns, np.append(z, 0.0))
             before = last.before
@@ -244,9 +233,9 @@ class SecantCurve:
         place = float(before.away @ across)
         if abs(place) < _SLANT * float(np.linalg.norm(before.away)):
             raise SimulationError("The line does not cross the end", time=0.0, state=())
-        place *= float(before.away @ before.away) / place**2
-        target = np.append(z + before.state, place)
-        normal = np.append(-before.state, -place)
+        # The line crosses the curve elsewhere than the line of the last end.
+        state = before.state - float(before.away @ self.forward) * self.slope
+        target, normal = np.append(z + state, place), np.append(-state, -place)
         point = correct(returns, self.metric, target, normal / np.linalg.norm(normal))
         left = left_of(point, self.cause)
         # Two families may be so close at an end that Newton's method jumps to the other family.
@@ -257,10 +246,11 @@ class SecantCurve:
         return point
 
 
-def _direction(last: SpecialCurvePoint, new: SpecialCurvePoint) -> Vector:
-    """Return the direction of the chord between two points, ``(2,)``."""
+def _chord(last: SpecialCurvePoint, new: SpecialCurvePoint) -> tuple[Vector, Vector]:
+    """Return the direction of the chord between two points, ``(2,)``, and its slope, ``(n_x,)``."""
     chord = new.at - last.at
-    return np.asarray(chord / np.linalg.norm(chord), dtype=np.float64)
+    length = float(np.linalg.norm(chord))
+    return chord / length, (new.located.z[:-1] - last.located.z[:-1]) / length
 
 
 def left_of(point: BranchPoint, cause: Margin | None) -> float:
