@@ -289,7 +289,7 @@ GRAZES = {
         parameters={"omega": 2.8, "A": 1.0, "c": 0.05},
         parameter="omega",
         box=(2.79, 3.3),
-        last=(Kind.EARLIER_GRAZING, _GRAZES),
+        last=(Kind.EARLIER_GRAZING, f"{_GRAZES}, return 2 of 2"),
     ),
     "ball on a table": Case(
         force=lambda m: -1 - 0.2 * m.v + m.p["A"] * m.cosine,

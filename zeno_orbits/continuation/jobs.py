@@ -113,7 +113,8 @@ class FollowDoubling:
         v = np.real(vectors[:, int(np.argmin(np.abs(values + 1)))])
         here = once.frame(point.x, point.s, metric.scale)
         direction = np.append(here.tangent @ v, 0.0)
-        direction /= np.linalg.norm(direction)
+        # An eigenvector has any sign: its largest component falls, so that returns are numbered.
+        direction /= -np.sign(direction[np.argmax(np.abs(direction))]) * np.linalg.norm(direction)
 
         def closes_earlier(other: BranchPoint) -> bool:
             """Return True for an orbit that already closes after half the returns."""
