@@ -109,7 +109,9 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_a_curve_of_ends_has_its_closed_form(name: str) -> None:
     case = CASES[name]
-    problem = one_mass(case.force, stops=case.stops, start=case.start, **case.values)
+    problem = one_mass(
+        case.force, stops=case.stops, has_clock=True, start=case.start, **case.values
+    )
     orbit = settled_event_orbit(problem, problem.values())
     parameter, *box = case.box
     other, *range_of_other = case.second

@@ -24,6 +24,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation import (
     ContinuationSettings,
     Family,
+    SecondParameter,
     SpecialPoint,
     SpecialPointKind,
     family_of_orbit,
@@ -561,6 +562,24 @@ def test_a_period_grows_without_bound_where_exact_flights_end_on_the_saddle(
     assert end.error < 1e-8
     assert end.detail.startswith("rests at x = ")
     assert np.isinf(end.at.period)
+
+
+@pytest.mark.slow
+def test_a_curve_of_infinite_periods_in_two_parameters_has_its_closed_form() -> None:
+    values = HILLS["damped"]
+    truth = _kick_onto_the_saddle(**values)
+    root = np.sqrt(values["c"] ** 2 / 4 + values["slope"])
+    problem = _hill(values["e"] * (root - values["c"] / 2), k=0.97 * truth, **values)
+    orbit = settled_event_orbit(problem, problem.values())
+    second = SecondParameter(name="keep", box=(0.19, 0.21), kinds=(Kind.PERIOD_INFINITE,))
+    box = (0.96 * truth, 1.1 * truth)
+    few = ContinuationSettings(doublings=0)
+    found = family_of_orbit(problem, orbit, "k", box, second=second, settings=few)
+    (curve,) = found.boundaries
+    assert (min(curve.y), max(curve.y)) == pytest.approx((0.19, 0.21), rel=1e-9)
+    kicks = [_kick_onto_the_saddle(**{**values, "keep": keep}) for keep in curve.y]
+    assert curve.x == pytest.approx(kicks, abs=1e-9)
+    assert abs(kicks[0] - kicks[-1]) > 1e-3
 
 
 # A contact phase that vanishes while the mass also strikes another stop several times.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -37,7 +38,7 @@ def _forced(m: Motion) -> ca.SX:
     return -m.x - m.p["c"] * m.v + m.p["A"] * m.cosine
 
 
-FORCES = {
+FORCES: dict[str, Callable[[Motion], ca.SX]] = {
     "spring": _forced,
     "hard spring": lambda m: _forced(m) - 0.3 * m.x**3,
     "two wells": lambda m: _forced(m) + 1.5 * m.x - 0.5 * m.x**3,
@@ -92,6 +93,7 @@ def _machine(name: str, dice: random.Random) -> Machine:
         FORCES.get(name, _forced),
         stops=stops,
         switches=switches,
+        has_clock=True,
         start={"cosine": 1.0, "x": values["place"] - 0.3 * side},
         **values,
     )

@@ -132,7 +132,9 @@ class SecantCurve:
                 # A chord is less accurate at its end than the direction that was just found.
                 self.forward, self.slope = _chord(last, new)
             raise StepError("the curve bends too fast")
-        if not 1 / _LIKE < new.located.period / last.located.period < _LIKE:
+        before = last.located.period
+        # At ends to which the period tends to infinity, all periods are infinite.
+        if np.isfinite(before) and not 1 / _LIKE < new.located.period / before < _LIKE:
             raise StepError("the period jumps")
         if new.amplitude < last.amplitude / _LIKE:
             raise StepError("the orbit collapses")
