@@ -110,7 +110,12 @@ CASES = {
 def test_a_curve_of_ends_has_its_closed_form(name: str) -> None:
     case = CASES[name]
     problem = one_mass(
-        case.force, stops=case.stops, has_clock=True, start=case.start, **case.values
+        case.force,
+        stops=case.stops,
+        has_clock=True,
+        switches=lambda _: (),
+        start=case.start,
+        **case.values,
     )
     orbit = settled_event_orbit(problem, problem.values())
     parameter, *box = case.box

@@ -11,7 +11,8 @@ follow: `SecondParameter`, `ContinuationSettings`, `FamilySteps`, `CurveSteps`, 
 Imports: search, orbits, simulation, model, work, arrays, errors.
 
 To find a fault in a family, read in this order: `continuation` (the arguments), `setup` (the start
-of the family), `branch` (steps and ends), `corrector` (one point), `return_maps` (one return).
+of the family), `branch` (steps and ends), `corrector` (one point), `return_maps` (one return, for
+every machine).
 """
 
 import lazy_loader as lazy
