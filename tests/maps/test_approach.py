@@ -108,7 +108,7 @@ UNIT = np.array([0.01, 1.0])
 def known(*states: tuple[float, float], rate: float = 0.5, period: float = 2.0) -> KnownOrbit:
     return KnownOrbit(
         attractor=Attractor(fate=AttractorClass.ZENO, returns=len(states), period=period),
-        at_releases=True,
+        section="release stop",
         states=states,
         scale=tuple(UNIT),
         rate=rate,

@@ -120,7 +120,7 @@ def test_an_impulse_in_contact_changes_no_gap_rate_and_the_stop_only_pushes(
     assert energy == pytest.approx(0.5 * state[2:4] @ mass @ state[2:4])
     for angle in np.linspace(0.0, 2 * np.pi, 9):
         force = 0.02 * np.array([np.cos(angle), np.sin(angle)])
-        after = pushed(dynamics, state, inverse @ force, (0,))
+        after = pushed(problem.graph_dynamics(values), state, inverse @ force, (0,))
         # The gap is theta2, so the impulse of the stop acts along its second entry.
         along, of_stop = mass @ (after[2:4] - state[2:4]) - force
         assert along == pytest.approx(0.0, abs=1e-14)

@@ -1,4 +1,4 @@
-from .attempt import Accuracy as Accuracy
+from .approach import Accuracy as Accuracy
 from .attractors import Attractor as Attractor
 from .attractors import AttractorClass as AttractorClass
 from .classify import attractors_at as attractors_at

@@ -15,6 +15,10 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 
+_LOCAL_ERRORS = 10.0
+"""Error of a period of a motion, in units of the local error."""
+SAME_PERIOD = 1e-4
+"""Relative difference below which the periods at two accuracies agree."""
 _AGREES = 0.5
 """Largest relative difference between a step of the motion and the linear prediction."""
 _PLACES = 6
@@ -25,6 +29,31 @@ _REAL = 1e-6
 """Imaginary part of a multiplier that counts as zero."""
 _SHARED = 1e-2
 """Largest difference between two equal motions, in units of the time of a return."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Accuracy:
+    """Accuracy with which motions are simulated up to their attractors.
+
+    Attributes:
+        motion: Local error while a motion converges.
+        orbit: Local error of the reported orbit.
+        near: Largest relative change of a return with which Newton's method is tried.
+        exact: Largest last step of Newton's method. The error of the orbit is about the square of
+            this step, and the error of the multipliers is about the step itself.
+        repeats: Change that counts as repeating if Newton's method is not available.
+    """
+
+    motion: float = 1e-8
+    orbit: float = 1e-10
+    near: float = 0.02
+    exact: float = 2e-6
+    repeats: float = 1e-7
+
+    @property
+    def reached(self) -> float:
+        """Distance that the accumulated local errors of a motion can account for."""
+        return _LOCAL_ERRORS * self.motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,21 +115,25 @@ def places_on_the_way(origin: Vector, jacobian: Vector) -> Vector:
 def all_come_nearer(places: Vector, images: Vector, jacobian: Vector) -> bool:
     r"""Return True if a return reduces the distance to the orbit from each point.
 
-    Distances are measured along the eigenvectors of :math:`A`, where the linear map reduces all
-    distances by the factor of the spectral radius. A part of this rate is required.
+    Distances are measured in the norm :math:`|y|_M` with
+    :math:`\gamma^{-2} A^\top M A - M = -I,\ \gamma = (1 + \rho) / 2`, in which the linear map
+    reduces them by the factor :math:`\gamma`. A part of this rate is required.
 
     Args:
-        places: Points relative to the orbit, in section coordinates, ``(n, m)``.
+        places: Points relative to the orbit, in coordinates of the section, ``(n, m)``.
         images: Images of the points under the return map, ``(n, m)``.
         jacobian: Derivative of the return map at the orbit, ``(m, m)``.
     """
-    values, vectors = np.linalg.eig(jacobian)
-    rate = 1.0 - float(np.max(np.abs(values)))
-
-    along = np.linalg.pinv(vectors)
+    rate = 1.0 - float(np.max(np.abs(np.linalg.eigvals(jacobian))))
+    if not rate > 0.0:
+        return False
+    norm, power = np.eye(len(jacobian)), jacobian / (1.0 - rate / 2.0)
+    # The sum of the powers doubles its length.
+    while np.max(np.abs(power)) > _REAL:
+        norm, power = norm + power.T @ norm @ power, power @ power
 
     def away(rows: Vector) -> Vector:
-        return np.max(np.abs(rows @ along.T), axis=1)
+        return np.sqrt(np.einsum("ki,ij,kj->k", rows, norm, rows))
 
     return bool(np.all(away(images) <= (1.0 - _PART * rate) * away(places)))
 

@@ -39,7 +39,7 @@ _IRREGULAR = {
     AttractorKind.CHAOTIC: "chaotic motion",
     AttractorKind.GROWS: "growing motion",
 }
-_ORBITS = (AttractorClass.ZENO, AttractorClass.SIMPLE, AttractorClass.NO_ZENO)
+ORBITS = (AttractorClass.ZENO, AttractorClass.SIMPLE, AttractorClass.NO_ZENO)
 """Attractors that are periodic orbits."""
 
 
@@ -94,7 +94,7 @@ class Attractor:
     @property
     def phrase(self) -> str:
         """The kind of the attractor, as text for a legend."""
-        if self.fate in _ORBITS:
+        if self.fate in ORBITS:
             several = self.fate is AttractorClass.ZENO or self.returns > 1
             period = f", period {self.returns}" if several and self.returns else ""
             if self.sequence:

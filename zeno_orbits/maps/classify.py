@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -11,21 +11,16 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.maps.approach import Approach
-from zeno_orbits.maps.attempt import Accuracy
+from zeno_orbits.maps.approach import Accuracy, Approach
 from zeno_orbits.maps.attractors import Attractor, AttractorClass
-from zeno_orbits.maps.crossings import Follower
-from zeno_orbits.maps.event_point import EventPoint, known_event_orbit
 from zeno_orbits.maps.known import KnownOrbit, distinct_orbits, known_orbit
 from zeno_orbits.maps.point import Point
 from zeno_orbits.maps.sure_point import sure_attractor
 from zeno_orbits.model import (
     GraphDynamics,
-    HybridDynamics,
     ParameterValues,
     Problem,
     Start,
-    graph_of,
     own_time,
 )
 from zeno_orbits.simulation import OSCILLATIONS, WAITING, bounds_of, turns_in
@@ -105,24 +100,24 @@ def attractors_from(
     """
     limits = _limits(problem, bounds)
     found: list[Attractor] = []
-    system: tuple[ParameterValues, HybridDynamics | GraphDynamics] | None = None
+    graph: tuple[ParameterValues, GraphDynamics] | None = None
     for values, state in motions:
         try:
-            if system is None or system[0] is not values:
-                system = values, problem.system(values)
+            if graph is None or graph[0] is not values:
+                graph = values, problem.graph_dynamics(values)
         except InputError as error:
             # A derived value may be outside of its range.
             found.append(Attractor(fate=AttractorClass.FAILED, detail=str(error)))
         else:
             exact = accuracy or Accuracy()
-            found.append(_settled(problem, system[1], state, until, limits, exact, known)[0])
+            found.append(_settled(problem, graph[1], state, until, limits, exact, known)[0])
         on_progress("classifying motions", len(found) / len(motions))
     return tuple(found)
 
 
 def approach_from(
     problem: Problem,
-    system: HybridDynamics | GraphDynamics,
+    graph: GraphDynamics,
     state: Vector,
     *,
     until: float,
@@ -133,13 +128,13 @@ def approach_from(
 
     Args:
         problem: The problem.
-        system: Its system.
+        graph: Its graph of modes.
         state: Initial state, ``(n_x,)``.
         until: Longest simulated time [s].
         accuracy: Accuracy of the simulation.
-        known: Orbits of this system with which the motion is compared.
+        known: Orbits of this machine with which the motion is compared.
     """
-    return _settled(problem, system, state, until, _limits(problem, None), accuracy, known)
+    return _settled(problem, graph, state, until, _limits(problem, None), accuracy, known)
 
 
 def known_orbits(
@@ -159,23 +154,20 @@ def known_orbits(
     Raises:
         InputError: If the problem rejects the values.
     """
-    system, exact = problem.system(values), accuracy or Accuracy()
-    limits = _limits(problem, None)
-    found: list[KnownOrbit] = []
-    for attractor in attractors:
-        if isinstance(system, GraphDynamics):
-            orbit = known_event_orbit(system, attractor, exact)
-        else:
-            follower = Follower(dynamics=system, bounds=limits)
-            orbit = known_orbit(follower, problem.state_units, attractor, exact)
-        if orbit is not None:
-            found.append(orbit)
-    return distinct_orbits(found)
+    graph, starts = problem.graph_dynamics(values), _starts(problem)
+    units, exact = problem.state_units, accuracy or Accuracy()
+    found = [known_orbit(graph, units, one, starts, exact) for one in attractors]
+    return distinct_orbits([orbit for orbit in found if orbit is not None])
+
+
+def _starts(problem: Problem) -> tuple[str, ...]:
+    """Return the events at which periods start, for orbits that are told without their events."""
+    return () if problem.has_graph else ("release stop", "impact stop")
 
 
 def _settled(
     problem: Problem,
-    system: HybridDynamics | GraphDynamics,
+    graph: GraphDynamics,
     start: Vector,
     until: float,
     limits: Vector,
@@ -183,18 +175,21 @@ def _settled(
     known: Sequence[KnownOrbit],
 ) -> tuple[Attractor, Approach | None]:
     """Return the attractor of one motion, and its approach."""
-    units = problem.state_units
-    motion: Callable[[Accuracy], Point | EventPoint]
-    if isinstance(system, GraphDynamics):
-        first = system.first
-        motion = partial(EventPoint, system, units, start, until, bounds=limits, known=known)
-    else:
-        first = system
-        usual = first.own.states(len(start))
-        follower = Follower(dynamics=first, bounds=limits)
-        motion = partial(Point, follower, units, start, until, usual=usual, known=known)
-    found, way = sure_attractor(motion, accuracy)
-    turns = turns_in(first, start, found.period)
+    starts = _starts(problem)
+    motion = partial(
+        Point,
+        graph,
+        problem.state_units,
+        start,
+        until,
+        bounds=limits,
+        known=known,
+        starts=starts,
+    )
+    found, way = sure_attractor(lambda accuracy: motion(accuracy=accuracy), accuracy)
+    if starts and found.sequence:
+        found = replace(found, sequence=(), returns=found.sequence.count(starts[0]))
+    turns = turns_in(graph.first, start, found.period)
     return _in_words(problem, replace(found, turns=turns)), way
 
 
@@ -226,7 +221,7 @@ def usual_time(
 
 def _restitution(problem: Problem, values: ParameterValues) -> float:
     """Return the largest restitution of all stops."""
-    return max(view.restitution for view in graph_of(problem.system(values)).open_views)
+    return max(view.restitution for view in problem.graph_dynamics(values).open_views)
 
 
 def _in_words(problem: Problem, found: Attractor) -> Attractor:

@@ -10,11 +10,11 @@ from functools import cached_property
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.maps.attempt import Accuracy
-from zeno_orbits.maps.attractors import Attractor, AttractorClass
-from zeno_orbits.maps.crossings import Follower, ReleaseRecord
+from zeno_orbits.maps.approach import Accuracy
+from zeno_orbits.maps.attractors import ORBITS, Attractor
+from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits import orbit_event_name
-from zeno_orbits.simulation import Event, Impact, MotionEnd, Release, scale_of
+from zeno_orbits.simulation import MotionEnd, scale_of, state_after, watched
 
 _NEAR = 0.01
 """Distance from an orbit, in units of `1 - rho`, below which the return map is nearly linear."""
@@ -36,19 +36,17 @@ class KnownOrbit:
 
     Attributes:
         attractor: The orbit.
-        at_releases: True for the section of the releases, False for the section of the impacts.
+        section: Name of the event of the section.
         states: States of the orbit on the section over a period, ``(n, n_x)``.
         scale: Size of each state, ``(n_x,)``.
         rate: Spectral radius :math:`\rho` of the return map.
-        section: Event of the section of a machine with several stops or switches, else empty.
     """
 
     attractor: Attractor
-    at_releases: bool
+    section: str
     states: tuple[tuple[float, ...], ...]
     scale: tuple[float, ...]
     rate: float
-    section: str = ""
 
     @property
     def period(self) -> float:
@@ -68,12 +66,6 @@ class KnownOrbit:
     @cached_property
     def _arrays(self) -> tuple[Vector, Vector]:
         return np.array(self.states), np.array(self.scale)
-
-    def is_at(self, event: Event) -> bool:
-        """Return True if an event of a motion lies on the section."""
-        if self.section:
-            return orbit_event_name(event) == self.section
-        return isinstance(event, Release if self.at_releases else Impact)
 
     def passes(self, state: Vector) -> bool:
         """Return True if a state on the section is a state of the orbit."""
@@ -121,47 +113,46 @@ class Recognition:
 
 
 def known_orbit(
-    follower: Follower, units: Sequence[str], attractor: Attractor, accuracy: Accuracy
+    graph: GraphDynamics,
+    units: Sequence[str],
+    attractor: Attractor,
+    starts: Sequence[str],
+    accuracy: Accuracy,
 ) -> KnownOrbit | None:
     """Return an attractor as a known orbit, or ``None`` if it is not usable.
 
-    An orbit is usable if its multipliers are known and below one, and if it has releases or
-    impacts.
+    An orbit is usable if its multipliers are known and below one, and if it has events.
 
     Args:
-        follower: Simulator of the motions.
+        graph: The graph of modes.
         units: Unit of each state.
         attractor: The attractor.
+        starts: Events of which the period of an attractor without an event sequence starts at the
+            first that occurs.
         accuracy: Accuracy of the simulation.
     """
-    rate = attractor.spectral_radius
-    if (
-        attractor.fate not in (AttractorClass.ZENO, AttractorClass.SIMPLE, AttractorClass.NO_ZENO)
-        or not rate < 1.0
-    ):
+    if attractor.fate not in ORBITS or not attractor.spectral_radius < 1.0:
         return None
-    names = follower.dynamics.state_names
-    start = np.array([attractor.state[name] for name in names])
-    at_releases = attractor.returns > 0
-    period, found = attractor.period, list[Vector]()
-    crossings = follower.crossings(start, until=1.5 * period, error=accuracy.orbit)
-    for crossing in crossings:
-        if isinstance(crossing, MotionEnd):
-            return None
-        if crossing.time < _SOON * period or isinstance(crossing, ReleaseRecord) != at_releases:
-            continue
-        found.append(crossing.state)
-        if crossing.time > (1.0 - _SOON) * period:
-            break
-    scale = scale_of(found, units, follower.dynamics.own.states(len(start)))
-    if not found or not float(np.max(np.abs(found[-1] - start) / scale)) < _CLOSED:
+    start = np.array([attractor.state[name] for name in graph.state_names])
+    period, found = attractor.period, dict[str, list[Vector]]()
+    pieces = watched(graph, start, until=1.05 * period, error=accuracy.orbit, goes_on=True)
+    for piece in pieces:
+        for event in () if isinstance(piece, MotionEnd) else piece.events:
+            if _SOON * period < event.time < (1.0 + _SOON) * period:
+                found.setdefault(orbit_event_name(event), []).append(state_after(event))
+    section = next((one for one in (*attractor.sequence[-1:], *starts) if one in found), "")
+    states = found.get(section, [])
+    if not states:
+        return None
+    scale = scale_of(states, units, graph.own.states(len(start)))
+    if not float(np.max(np.abs(states[-1] - start) / scale)) < _CLOSED:
         return None
     return KnownOrbit(
         attractor=attractor,
-        at_releases=at_releases,
-        states=tuple(tuple(state.tolist()) for state in found),
+        section=section,
+        states=tuple(tuple(np.asarray(state).tolist()) for state in states),
         scale=tuple(scale.tolist()),
-        rate=rate,
+        rate=attractor.spectral_radius,
     )
 
 
@@ -181,7 +172,7 @@ def distinct_orbits(orbits: Sequence[KnownOrbit]) -> tuple[KnownOrbit, ...]:
 
 def is_same(one: KnownOrbit, other: KnownOrbit) -> bool:
     """Return True if two orbits are the same, for any start of their periods."""
-    alike = [(orbit.at_releases, orbit.section, len(orbit.states)) for orbit in (one, other)]
+    alike = [(orbit.section, len(orbit.states)) for orbit in (one, other)]
     if alike[0] != alike[1]:
         return False
     period = other.attractor.period

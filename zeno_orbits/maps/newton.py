@@ -1,261 +1,242 @@
-r"""Newton's step to a periodic orbit on its section, from returns of neighbouring motions.
+r"""The orbit near the returns of a motion, by Newton's method (theory (4.7)).
 
-A *bundle* starts from a state of the section and from states displaced by :math:`\epsilon` along
-each section coordinate. The returns determine :math:`P` and its derivative, and therefore the fixed
-point to second order and the multipliers (theory (3.3)).
-The section contains the releases. If an orbit does not have a Zeno point and hence a release, it
-contains the states just after an impact (theory (5.9)).
+The start is the limit of the last returns. The returns and their exact derivatives are those of
+`zeno_orbits.orbits`. The last correction is applied to first order, so its square is the error.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
-from zeno_orbits.maps.crossings import ImpactRecord, ReleaseRecord
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.maps.approach import Accuracy
+from zeno_orbits.maps.attractors import Attractor, AttractorClass
+from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits import (
-    IMPACT_ROWS,
-    RELEASE_ROWS,
+    EventReturn,
     Section,
-    project_to_section,
-    section_around,
+    SectionMode,
+    closed_return,
+    contact_view,
+    contacts_of,
+    event_return,
+    event_sections,
+    inverse_of_closing,
+    kept_section,
+    kind_of_events,
+    largest_states,
+    multipliers_of_return,
+    orbit_event_name,
+    phases_of_events,
+    sequence_of,
+    shortest_return,
+)
+from zeno_orbits.simulation import (
+    Event,
+    Execution,
+    Impact,
+    state_after,
+    transient_settings,
 )
 
-_DISPLACED = 1e-6
-"""Displacement in scaled section coordinates.
-
-Neighbours usually have the same sequence of steps, with nearly the same sizes. Errors of the
-integration then cancel in a difference. If a neighbour has another sequence, the difference
-contains its local error.
-"""
-
-_OFF = 0.3 * _DISPLACED
-"""Largest distance of a state from its section for accurate differences, in scaled states."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DisplacedStates:
-    """A state of a section and its displaced neighbours.
+class ClosedOrbit:
+    """A periodic orbit near a motion.
 
     Attributes:
-        section: The chart around the state.
-        states: The state, then one neighbour per section coordinate, ``(m + 1, n_x)``.
+        attractor: The orbit.
+        n_returns: Events of the section in a period.
+        chart: Chart of the admissible states around its state on the section.
+        slope: Derivative of the return in the chart, ``(d, d)``.
     """
 
-    section: Section
-    states: Vector
+    attractor: Attractor
+    n_returns: int
+    chart: Section
+    slope: Vector
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PeriodReturn:
-    """A return over a period: its end, its duration and its margins.
-
-    Attributes:
-        state: State at the end, ``(n_x,)``.
-        numbers: Period, then the margins of a certificate in order, ``(n,)``.
-    """
-
-    state: Vector
-    numbers: Vector
+_VANISHED = 0.02
+"""Part of its size below which a motion decays to an equilibrium, if returns contract."""
+_FALLS, _STEPS = 0.8, 8
+"""Largest ratio of successive amplitudes on the way to an equilibrium, and most steps to it."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FixedPoint:
-    """Newton's step towards a fixed point of the return map.
+def extrapolated(last: Vector, before: Vector, earlier: Vector, scale: Vector) -> Vector:
+    r"""Return the limit of a motion by its last two steps, ``(n_x,)``.
 
-    Attributes:
-        distance: Length of the step in section coordinates. The remaining error is about its
-            square.
-        jacobian: Derivative of the return map, ``(m, m)``.
-        state: The fixed point, ``(n_x,)``.
-        numbers: Period and margins at the fixed point.
-    """
-
-    distance: float
-    jacobian: Vector
-    state: Vector
-    numbers: Vector
-
-    @cached_property
-    def multipliers(self) -> tuple[complex, ...]:
-        """Eigenvalues of the derivative, the largest first."""
-        return eigenvalues(self.jacobian)
-
-    @property
-    def spectral_radius(self) -> float:
-        """Largest modulus of a multiplier."""
-        return max((abs(value) for value in self.multipliers), default=0.0)
-
-
-def bundle_at(
-    dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector
-) -> DisplacedStates:
-    """Return a state of a section and its neighbours.
-
-    The state may be off its section by the drift of the flow from the stop. If this distance is not
-    small compared with a displacement, the state is projected to the section, as are its
-    neighbours.
-
-    Args:
-        dynamics: The system.
-        rows: Rows of the contact that vanish on the section.
-        x: The state, ``(n_x,)``.
-        scale: Size of each state, ``(n_x,)``.
-
-    Raises:
-        SimulationError: If a section does not exist near the state.
-    """
-    return displaced(dynamics, chart_at(dynamics, rows, x, scale))
-
-
-def chart_at(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector) -> Section:
-    """Return the chart of a section around a state, which is projected to it without releases.
-
-    Args:
-        dynamics: The system.
-        rows: Rows of the contact that vanish on the section.
-        x: The state, ``(n_x,)``.
-        scale: Size of each state, ``(n_x,)``.
-
-    Raises:
-        SimulationError: If a section does not exist near the state.
-    """
-    x = x if rows == RELEASE_ROWS else project_to_section(dynamics, rows, x, scale)
-    return section_around(dynamics, rows, x, scale)
-
-
-def extrapolated(section: Section, before: Vector, earlier: Vector) -> Vector:
-    r"""Return the limit of a motion by its last two steps, in section coordinates, ``(m,)``.
-
-    With the steps :math:`u_1`, then :math:`u_0` to the centre, it is
-    :math:`-\vartheta u_0,\ \vartheta = u_0 \cdot (u_0 - u_1) / |u_0 - u_1|^2`, which is exact for a
-    linear map with one multiplier along these steps. It is zero, the centre, if the steps do not
+    With the steps :math:`u_1`, then :math:`u_0` to the last state :math:`x`, it is
+    :math:`x - \vartheta u_0,\ \vartheta = u_0 \cdot (u_0 - u_1) / |u_0 - u_1|^2`, which is exact
+    for a linear map with one multiplier along these steps. It is the last state if the steps do not
     become shorter.
 
     Args:
-        section: The chart around the last return.
+        last: The last return, ``(n_x,)``.
         before: The return before, ``(n_x,)``.
         earlier: The return before that, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
     """
-    first, second = section.coordinates(earlier), section.coordinates(before)
-    last, change = -second, first - 2.0 * second
-    if not last @ last < (second - first) @ (second - first):
-        return np.zeros(section.dimension)
-    return -float(last @ change) / float(change @ change) * last
+    step, first = (last - before) / scale, (before - earlier) / scale
+    change = step - first
+    if not step @ step < first @ first:
+        return last
+    return last - float(step @ change) / float(change @ change) * scale * step
 
 
-def displaced(
-    dynamics: HybridDynamics, section: Section, *, neighbours: bool = True
-) -> DisplacedStates:
-    """Return the centre of a chart and its neighbours.
+def orbit_near(
+    graph: GraphDynamics,
+    x: Vector,
+    *,
+    section: str,
+    n_returns: int,
+    guess: float,
+    mode: SectionMode,
+    accuracy: Accuracy,
+    starts: Sequence[str] = (),
+) -> ClosedOrbit | None:
+    """Return the orbit near a state of a section, or ``None`` if there is none.
 
     Args:
-        dynamics: The system.
-        section: The chart.
-        neighbours: False for the centre alone.
-
-    Raises:
-        SimulationError: If the section does not exist near the centre.
+        graph: The graph of modes.
+        x: The state just after the event of the section, ``(n_x,)``.
+        section: Name of the event.
+        n_returns: Number of such events in a period.
+        guess: Approximate period [s].
+        mode: The mode just after the event.
+        accuracy: Accuracy of the orbit.
+        starts: Events at which a period starts, the best first. By default the usual sections.
     """
-    rows = _DISPLACED * np.eye(section.dimension) if neighbours else ()
-    centre = section.state(dynamics, np.zeros(section.dimension))
-    off = np.max(np.abs(centre - section.centre) / section.scale)
-    first = section.centre if off < _OFF else centre
-    states = [first, *(section.state(dynamics, row) for row in rows)]
-    return DisplacedStates(section=section, states=np.array(states))
+    settings = transient_settings(accuracy.orbit)
+    same: Any = {"section": section, "n_returns": n_returns, "settings": settings, "mode": mode}
+    try:
+        found = closed_return(graph, x, guess=guess, is_near=True, exact=accuracy.exact, **same)
+        found = shortest_return(graph, found, settings)
+        multipliers = multipliers_of_return(graph, found)
+        chart, slope = _linear(graph, found)
+        missed = np.linalg.solve(np.eye(len(slope)) - slope, chart.coordinates(found.end))
+    except (SimulationError, np.linalg.LinAlgError):
+        return None
+    change = chart.lift @ missed
+    return ClosedOrbit(
+        attractor=_attractor(graph, found, multipliers, change, starts),
+        n_returns=sum(orbit_event_name(event) == section for event in found.events),
+        chart=replace(chart, centre=found.start + change),
+        slope=slope,
+    )
 
 
-def _of_releases(dynamics: HybridDynamics, events: Sequence[ReleaseRecord]) -> PeriodReturn:
-    """Return the period and the smallest margins over the releases of one period."""
-    margins = np.array(
-        [
-            (
-                math.nan
-                if event.zeno_state is None
-                else -dynamics.gap_acceleration(event.zeno_state),
-                -event.struck,
-                -dynamics.multiplier_rate(event.state),
-                event.time - event.zeno_time,
+def fades(
+    graph: GraphDynamics, x: Vector, *, section: str, guess: float, mode: SectionMode, error: float
+) -> bool:
+    """Return True if Newton's steps lead to an amplitude of zero, and returns contract on the way.
+
+    Near a rest on a stop, a return is linear in the state up to terms of third order.
+
+    Args:
+        graph: The graph of modes.
+        x: The state just after the event of the section, ``(n_x,)``.
+        section: Name of the event.
+        guess: Approximate time of a return [s].
+        mode: The mode just after the event.
+        error: Relative local error of a step.
+    """
+    settings, largest = transient_settings(error), np.zeros(len(x))
+    try:
+        for _ in range(_STEPS):
+            found = event_return(
+                graph, x, section=section, n_returns=1, guess=guess, settings=settings, mode=mode
             )
-            for event in events
-        ]
-    )
-    numbers = np.append(events[-1].time, margins.min(axis=0))
-    return PeriodReturn(state=events[-1].state, numbers=numbers)
+            _, slope = _linear(graph, found)
+            if not max(map(abs, eigenvalues(slope)), default=0.0) < 1.0:
+                return False
+            largest = np.maximum(largest, largest_states(found.execution.arcs, graph))
+            before, guess = float(np.max(np.abs(x) / largest)), found.period
+            x = found.start + inverse_of_closing(graph, found) @ (found.end - found.start)
+            now = float(np.max(np.abs(x) / largest))
+            if now < _VANISHED:
+                return True
+            if not now < _FALLS * before:
+                return False
+    except (SimulationError, np.linalg.LinAlgError):
+        return False
+    return False
 
 
-def _of_impacts(_: HybridDynamics, events: Sequence[ImpactRecord]) -> PeriodReturn:
-    """Return the period and the slowest impact over the impacts of one period."""
-    slowest = min(-event.rate for event in events)
-    return PeriodReturn(state=events[-1].state, numbers=np.array([events[-1].time, slowest]))
+def _linear(graph: GraphDynamics, found: EventReturn) -> tuple[Section, Vector]:
+    """Return a chart of the admissible states around the start of a return, and its derivative."""
+    scale = largest_states(found.execution.arcs, graph)
+    chart = kept_section(graph, found.start, found.mode, scale)
+    return chart, chart.components(found.by_state @ chart.lift)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Crossing:
-    """The events at which motions cross a section.
-
-    Attributes:
-        rows: Rows of the contact that vanish on the section.
-        margins: Names of the margins, as in a certificate.
-        cycle: Function of the system and the events of one period, with times from its start. It
-            returns the end, the period and the margins.
-        far: Largest relative distance of the orbit from the motion in a Newton step.
-    """
-
-    rows: tuple[int, ...]
-    margins: tuple[str, ...]
-    cycle: Callable[[HybridDynamics, Sequence[Any]], PeriodReturn]
-    far: float
-
-
-RELEASES = Crossing(
-    rows=RELEASE_ROWS,
-    margins=("gap_acceleration", "first_impact_speed", "release_transversality", "locked_time"),
-    cycle=_of_releases,
-    far=0.8,
-)
-IMPACTS = Crossing(
-    rows=IMPACT_ROWS,
-    margins=("first_impact_speed",),
-    cycle=_of_impacts,
-    far=0.02,
-)
-
-
-def newton_step(
-    dynamics: HybridDynamics,
-    section: Section,
-    cycles: Sequence[PeriodReturn],
-    jacobian: Vector | None,
-) -> FixedPoint:
-    """Return Newton's step from the centre of a section.
+def _attractor(
+    graph: GraphDynamics,
+    found: EventReturn,
+    multipliers: tuple[complex, ...],
+    change: Vector,
+    starts: Sequence[str],
+) -> Attractor:
+    """Return an orbit from its best section, so that one orbit has one start.
 
     Args:
-        dynamics: The system.
-        section: The chart around the state that returned.
-        cycles: Return of the state, then the returns of its neighbours, if available.
-        jacobian: Derivative of the return map, for a state without neighbours.
+        graph: The graph of modes.
+        found: A return near the orbit.
+        multipliers: The Floquet multipliers.
+        change: Correction of its start, ``(n_x,)``.
+        starts: Events at which a period starts, the best first.
     """
-    image = section.coordinates(cycles[0].state)
-    numbers = cycles[0].numbers
-    rates = np.zeros((len(numbers), section.dimension))
-    if jacobian is None:
-        columns = [(section.coordinates(c.state) - image) / _DISPLACED for c in cycles[1:]]
-        jacobian = np.stack(columns, axis=1) if columns else np.zeros((0, 0))
-        slopes = [(c.numbers - numbers) / _DISPLACED for c in cycles[1:]]
-        rates = np.stack(slopes, axis=1) if slopes else rates
-    solved = np.linalg.solve(np.eye(section.dimension) - jacobian, image)
-    z = np.asarray(solved, dtype=np.float64)
-    return FixedPoint(
-        distance=float(np.max(np.abs(z), initial=0.0)),
-        jacobian=jacobian,
-        state=section.state(dynamics, z),
-        numbers=numbers + rates @ z,
+    names = [orbit_event_name(event) for event in found.events]
+    name = next(one for one in (*starts, *usual_sections(graph, found.events)) if one in names)
+    place = max(k for k, one in enumerate(names) if one == name)
+    kind = kind_of_events([(orbit_event_name(event), event.time) for event in found.events])
+    n_x, n = len(change), len(found.events)
+    after = [one[2] for passage in found.passages for one in passage.crossings][:n]
+    state = state_after(found.events[place]) + after[place].state[:, :n_x] @ change
+    return Attractor(
+        fate=AttractorClass(kind),
+        returns=names.count(name),
+        period=found.period + float(after[-1].time[:n_x] @ change),
+        multipliers=multipliers,
+        margins=_margins(graph, found),
+        state=dict(zip(graph.state_names, state.tolist(), strict=True)),
+        sequence=sequence_of([*names[place + 1 :], *names[: place + 1]]),
     )
+
+
+def usual_sections(graph: GraphDynamics, events: Sequence[Event]) -> list[str]:
+    """Return the sections of some events, the best first.
+
+    Those of one kind are in the order of their names, so an orbit has one section, whichever of its
+    events the motion met first.
+
+    Args:
+        graph: The graph of modes.
+        events: The events.
+    """
+    run = Execution(state_names=graph.state_names, arcs=(), events=tuple(events))
+    kinds = groupby(event_sections(run, graph), key=lambda name: name.partition(" ")[0])
+    return [name for _, names in kinds for name in sorted(names)]
+
+
+def _margins(graph: GraphDynamics, found: EventReturn) -> Mapping[str, float]:
+    """Return the smallest margins over the contact phases and impacts of an orbit."""
+    phases = phases_of_events([orbit_event_name(event) for event in found.events])
+    first = [found.events[phase[0]] for phase in phases]
+    speeds = [-event.approach_rate for event in first if isinstance(event, Impact)]
+    margins = {"first_impact_speed": min(speeds)} if speeds else {}
+    for contact in contacts_of(found):
+        view, release = contact_view(graph, found, contact), phases[contact.place][-1]
+        own = {
+            "gap_acceleration": -view.gap_acceleration(contact.zeno.state),
+            "release_transversality": -view.multiplier_rate(state_after(found.events[release])),
+            "locked_time": contact.duration,
+        }
+        margins |= {name: min(value, margins.get(name, value)) for name, value in own.items()}
+    return margins

@@ -12,7 +12,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, any_number, shown
-from zeno_orbits.maps.attempt import Accuracy
+from zeno_orbits.maps.approach import Accuracy
 from zeno_orbits.maps.attractors import Attractor, AttractorClass, attractor_json
 from zeno_orbits.maps.classify import (
     attractors_from,

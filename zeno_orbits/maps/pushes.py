@@ -28,7 +28,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, any_number, shown
-from zeno_orbits.maps.attractors import AttractorClass
+from zeno_orbits.maps.attractors import ORBITS
 from zeno_orbits.maps.classify import (
     approach_from,
     attractors_at,
@@ -40,14 +40,12 @@ from zeno_orbits.maps.plane import OF_BASINS
 from zeno_orbits.maps.rays import UNPUSHED, Loss, Ray, Trial
 from zeno_orbits.model import (
     GraphDynamics,
-    HybridDynamics,
     ParameterValues,
     Problem,
     ProblemFile,
-    graph_of,
     unknown,
 )
-from zeno_orbits.orbits import Orbit
+from zeno_orbits.orbits import Orbit, orbit_event_name
 from zeno_orbits.simulation import Mode, simulate, simulator_in_use, state_after
 from zeno_orbits.work import (
     Columns,
@@ -63,8 +61,6 @@ from zeno_orbits.work import (
     versions,
 )
 
-_ORBITS = (AttractorClass.ZENO, AttractorClass.SIMPLE, AttractorClass.NO_ZENO)
-"""Attractors that are periodic orbits."""
 _SAME_PERIOD = 1e-6
 """Largest relative difference between the period of an orbit and of the motion from its start."""
 _HUGE = 1e100
@@ -286,13 +282,13 @@ def _trials(
     problem: Problem, values: ParameterValues, orbit: KnownOrbit, until: float
 ) -> Callable[[Mapping[str, Any], float], Trial]:
     """Return the function of a ray and an impulse that simulates the motion after the impulse."""
-    system = problem.system(values)
+    graph = problem.graph_dynamics(values)
 
     def tried(ray: Mapping[str, Any], impulse: float) -> Trial:
         state, change = np.array(ray["state"]), np.array(ray["change"])
-        after = pushed(system, state, change * impulse, ray["closed"])
+        after = pushed(graph, state, change * impulse, ray["closed"])
         reached, way = approach_from(
-            problem, system, after, until=until, accuracy=OF_BASINS, known=(orbit,)
+            problem, graph, after, until=until, accuracy=OF_BASINS, known=(orbit,)
         )
         if not returns_to(orbit, reached, problem.state_names):
             return Trial(impulse=impulse, beyond=reached, delay=math.inf)
@@ -307,26 +303,23 @@ def _as_found(loss: Loss | None) -> dict[str, Any]:
     if loss is None:
         return {"largest": None, "error": None, "beyond": ""}
     beyond = loss.beyond
-    words = f"another {beyond.phrase}" if beyond.fate in _ORBITS else beyond.phrase
+    words = f"another {beyond.phrase}" if beyond.fate in ORBITS else beyond.phrase
     return {"largest": loss.kept, "error": loss.gone - loss.kept, "beyond": words}
 
 
-def pushed(
-    system: HybridDynamics | GraphDynamics, state: Vector, change: Vector, closed: Sequence[int]
-) -> Vector:
+def pushed(graph: GraphDynamics, state: Vector, change: Vector, closed: Sequence[int]) -> Vector:
     """Return the state after an impulse, ``(n_x,)``.
 
     Args:
-        system: The system.
+        graph: The graph of modes.
         state: State before the impulse, ``(n_x,)``.
         change: Change of the velocities without a stop, ``(n_q,)``.
         closed: Indices of the stops at zero gap and gap rate.
     """
     after = state.copy()
-    graph = graph_of(system)
     views = [graph.open_views[k] for k in closed]
     matrix = graph.delassus(state)[np.ix_(closed, closed)]
-    speeds = slice(system.n_q, 2 * system.n_q)
+    speeds = slice(graph.n_q, 2 * graph.n_q)
     after[speeds] += change
     impulses = stop_impulses(matrix, np.array([view.gap_rate(after) for view in views]))
     # A unit impulse of a stop changes its own gap rate by J W J'.
@@ -480,11 +473,7 @@ def push_units(
     Raises:
         InputError: If a coordinate is unknown, or the force is zero or infinite.
     """
-    if problem.has_graph:
-        n_q = problem.compiled_graph().graph.mechanism.q.numel()
-    else:
-        n_q = problem.compiled().n_q
-    names = problem.state_names[:n_q]
+    names = problem.state_names[: problem.compiled_graph().graph.mechanism.q.numel()]
     if not direction:
         return {unit_of_push(problem, {name: 1.0}) for name in names}
     _require_direction(direction, names, argument)
@@ -614,7 +603,7 @@ def _attracting(
     (reached,) = attractors_at(
         problem, [values], start=orbit.start_state, until=until, accuracy=OF_BASINS
     )
-    same = reached.fate in _ORBITS and math.isclose(
+    same = reached.fate in ORBITS and math.isclose(
         reached.period, orbit.period, rel_tol=_SAME_PERIOD
     )
     if not same:
@@ -635,19 +624,19 @@ def _meets(problem: Problem, values: ParameterValues, known: KnownOrbit, orbit: 
     """Return True if the start of an orbit is a state of a known orbit."""
     start = np.array(problem.state_vector(orbit.start_state))
     # Its period may start at another event.
-    turned = simulate(problem.system(values), start, until=1.5 * orbit.period)
+    turned = simulate(problem.graph_dynamics(values), start, until=1.5 * orbit.period)
     return any(
         known.passes(np.asarray(state_after(event)))
         for event in turned.events
-        if known.is_at(event)
+        if orbit_event_name(event) == known.section
     )
 
 
-def _touched(system: HybridDynamics | GraphDynamics, state: Vector) -> tuple[int, ...]:
+def _touched(graph: GraphDynamics, state: Vector) -> tuple[int, ...]:
     """Return the indices of the stops at zero gap and gap rate."""
     return tuple(
         k
-        for k, view in enumerate(graph_of(system).open_views)
+        for k, view in enumerate(graph.open_views)
         if abs(view.gap(state)) <= _TOUCHES * view.own.gap
         and abs(view.gap_rate(state)) <= _TOUCHES * view.own.gap_rate
     )
@@ -655,9 +644,9 @@ def _touched(system: HybridDynamics | GraphDynamics, state: Vector) -> tuple[int
 
 def _moments(problem: Problem, values: ParameterValues, orbit: Orbit, phases: int) -> list[_Moment]:
     """Return the orbit at equidistant phases."""
-    system = problem.system(values)
+    graph = problem.graph_dynamics(values)
     start = np.array(problem.state_vector(orbit.start_state))
-    motion = simulate(system, start, until=orbit.period)
+    motion = simulate(graph, start, until=orbit.period)
     times = [k / phases * orbit.period for k in range(phases)]
     states = motion.states_at(np.array(times))
     mobilities, _ = problem.inverse_masses(values, states)
@@ -666,7 +655,7 @@ def _moments(problem: Problem, values: ParameterValues, orbit: Orbit, phases: in
         _Moment(
             phase=k / phases,
             state=tuple(states[k].tolist()),
-            closed=_touched(system, states[k]),
+            closed=_touched(graph, states[k]),
             mobility=mobilities[k],
             largest_energy=float(np.max(energies)),
         )

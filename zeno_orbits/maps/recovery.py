@@ -28,16 +28,8 @@ from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.errors import InputError, SimulationError, positive_number, shown
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import (
-    Orbit,
-    cycle_of,
-    event_chart,
-    place_on_section,
-    poincare_jacobian,
-    rows_of,
-    section_around,
-)
-from zeno_orbits.simulation import SimulationSettings, scale_of
+from zeno_orbits.orbits import Orbit, event_chart
+from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import Columns, Progress, TableRepr, require_kinds, silent, versions
 
 _ACCURATE = SimulationSettings(tolerance=Tolerance(relative=1e-10, absolute=1e-11))
@@ -47,8 +39,6 @@ _FINEST = 1e-12
 """Smallest relative step of the radius that doubles resolve."""
 _SCOUTS = 64
 """Points of the search, which the test does not use."""
-_LONG = 3.0
-"""Longest time of a return, in periods."""
 _TESTS = 60
 """Largest number of tests."""
 _CLOSED = 1e-6
@@ -191,22 +181,6 @@ class Recovery(TableRepr):
         }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _ReturnMap:
-    """The return map of an orbit in coordinates of its section.
-
-    Attributes:
-        slope: Its derivative at the orbit, ``(d, d)``.
-        directions: Derivative of the state with respect to the coordinates, ``(n_x, d)``.
-        returned: Coordinates of a state to those of its return. It raises an error if the motion
-            does not return by the events of the orbit.
-    """
-
-    slope: Vector
-    directions: Vector
-    returned: Callable[[Vector], Vector]
-
-
 def recovery_of(
     problem: Problem,
     orbit: Orbit,
@@ -223,13 +197,20 @@ def recovery_of(
         on_progress: Called with the stage and its finished part.
 
     Raises:
-        InputError: If the orbit is not closed or unstable.
-        SimulationError: If the motion from its start does not have the events of the orbit.
+        InputError: If the orbit is unstable or not closed, also because the motion from its start
+            does not have the events of the orbit.
     """
     settings = settings or RecoverySettings()
-    is_event = not orbit.has_phases
-    returns = _event_returns(problem, orbit) if is_event else _cycles(problem, orbit)
-    slope, directions = returns.slope, returns.directions
+    graph = problem.graph_dynamics(orbit.values(problem))
+    try:
+        chart = event_chart(graph, orbit, problem.state_units, _ACCURATE)
+    except SimulationError as error:
+        reason = f"must be closed, but the motion from its start is another: {error}"
+        raise InputError(f"Argument `orbit` {reason}") from error
+    if not chart.drift < _CLOSED:
+        wanted = f"must be closed, but a period ends {chart.drift:.1g} away from its start"
+        raise InputError(f"Argument `orbit` {wanted}.")
+    slope, directions = chart.slope, chart.section.lift
     rate = max((abs(value) for value in eigenvalues(slope)), default=0.0)
     if not rate < 1.0:
         reason = f"must be stable, but its spectral radius is {rate:.6g}"
@@ -240,7 +221,7 @@ def recovery_of(
     if not contraction < 1.0:
         reason = f"must be stable by more than rounding, but its spectral radius is {rate!r}"
         raise InputError(f"Argument `orbit` {reason}.")
-    ball = _Ball(returned=returns.returned, root=root, back=back)
+    ball = _Ball(returned=chart.returned, root=root, back=back)
     radius, tests = _radius(ball, settings, on_progress)
     widths = np.linalg.norm(directions @ back, axis=1)
     names = problem.state_names
@@ -262,43 +243,6 @@ def recovery_of(
         settings=settings,
         versions=versions(),
     )
-
-
-def _cycles(problem: Problem, orbit: Orbit) -> _ReturnMap:
-    """Return the return map of an orbit of a machine with one stop."""
-    shape, horizon = orbit.shape, _LONG * orbit.period
-    dynamics = problem.dynamics(orbit.values(problem))
-    start = place_on_section(dynamics, shape, np.array(problem.state_vector(orbit.start_state)))
-    cycle = cycle_of(dynamics, start, shape, horizon=horizon, settings=_ACCURATE)
-    # A state that has decayed gets the size of the other states with its unit.
-    scale = scale_of([cycle.scale()], problem.state_units, dynamics.own.states(len(start)))
-    _require_closed(cycle.drift(scale))
-    slope = poincare_jacobian(
-        dynamics, start, scale=scale, period=orbit.period, settings=_ACCURATE, shape=shape
-    )
-    section = section_around(dynamics, rows_of(shape, dynamics.restitution), start, scale)
-
-    def returned(coordinates: Vector) -> Vector:
-        state = place_on_section(dynamics, shape, section.state(dynamics, coordinates))
-        cycle = cycle_of(dynamics, state, shape, horizon=horizon, settings=_ACCURATE)
-        return section.coordinates(cycle.end.state)
-
-    return _ReturnMap(slope=slope, directions=section.lift, returned=returned)
-
-
-def _event_returns(problem: Problem, orbit: Orbit) -> _ReturnMap:
-    """Return the return map of an orbit of a machine with several stops or switches."""
-    graph = problem.graph_dynamics(orbit.values(problem))
-    chart = event_chart(graph, orbit, problem.state_units, _ACCURATE)
-    _require_closed(chart.drift)
-    return _ReturnMap(slope=chart.slope, directions=chart.section.lift, returned=chart.returned)
-
-
-def _require_closed(drift: float) -> None:
-    """Raise an error for an orbit whose end differs from its start."""
-    if not drift < _CLOSED:
-        wanted = f"must be closed, but a period ends {drift:.1g} away from its start"
-        raise InputError(f"Argument `orbit` {wanted}.")
 
 
 def _norm_of(slope: Vector, rate: float) -> Vector:

@@ -6,10 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from zeno_orbits.maps.approach import Approach
-from zeno_orbits.maps.attempt import SAME_PERIOD, Accuracy
+from zeno_orbits.maps.approach import SAME_PERIOD, Accuracy, Approach
 from zeno_orbits.maps.attractors import Attractor, AttractorClass
-from zeno_orbits.maps.event_point import EventPoint
 from zeno_orbits.maps.point import Point
 
 _WANDERS = 10
@@ -20,7 +18,7 @@ _DEPENDS = "its attractor depends on the smallest errors"
 
 
 def sure_attractor(
-    motion: Callable[[Accuracy], Point | EventPoint], accuracy: Accuracy
+    motion: Callable[[Accuracy], Point], accuracy: Accuracy
 ) -> tuple[Attractor, Approach | None]:
     """Return the attractor of a motion. After a long transient, two accuracies have to agree.
 
@@ -50,7 +48,8 @@ def sure_attractor(
             return Attractor(
                 fate=AttractorClass.UNSETTLED, trend=answer.trend, detail=_DEPENDS
             ), None
-        before, accuracy = (answer, way), left.pop(0)
+        # A doubtful orbit says nothing.
+        before, accuracy = None if way.doubtful else (answer, way), left.pop(0)
 
 
 def _agree(first: Attractor, way: Approach, again: Attractor, way_again: Approach) -> bool:

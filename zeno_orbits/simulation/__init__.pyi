@@ -38,6 +38,7 @@ from .events import state_after as state_after
 from .events import state_before as state_before
 from .derivatives.sensitivity import SaltationDerivative as SaltationDerivative
 from .derivatives.sensitivity import change_of as change_of
+from .pieces import Piece as Piece
 from .signals import Extent as Extent
 from .signals import Signal as Signal
 from .signals import extent_of as extent_of
@@ -76,10 +77,10 @@ from .settling import MotionLog as MotionLog
 from .settling import RepeatedCycle as RepeatedCycle
 from .settling import turns_in as turns_in
 from .settling import verdict as verdict
+from .settling import without_events as without_events
 from .watch import MotionEnd as MotionEnd
 from .watch import Reason as Reason
 from .watch import clock_turn as clock_turn
 from .watch import steady_turn as steady_turn
 from .watch import transient_settings as transient_settings
 from .watch import watched as watched
-from .watch import watched_releases as watched_releases

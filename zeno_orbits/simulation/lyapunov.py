@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.model import GraphDynamics, GraphMode
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
 from zeno_orbits.simulation.simulator import pieces
 
@@ -51,7 +51,7 @@ class Exponent:
 
 
 def largest_exponent(
-    dynamics: HybridDynamics,
+    graph: GraphDynamics,
     state: Vector,
     *,
     turn: float,
@@ -63,7 +63,7 @@ def largest_exponent(
     Perturbations of the clock are excluded, because their exponent belongs to the clock.
 
     Args:
-        dynamics: The system.
+        graph: The graph of modes.
         state: A state on the attractor of the motion, ``(n_x,)``.
         turn: Period of the clock, or of an oscillation [s].
         scale: Size of each state, ``(n_x,)``.
@@ -72,17 +72,18 @@ def largest_exponent(
     Raises:
         SimulationError: If a motion cannot be continued.
     """
-    free = np.array([k for k in range(len(state)) if k not in dynamics.clock])
+    clock = graph.first.clock
+    free = np.array([k for k in range(len(state)) if k not in clock])
     direction = np.zeros(len(state))
     direction[free] = scale[free] * np.cos(1.0 + np.arange(len(free)))
     first, rates = state, list[float]()
-    other = _beside(dynamics, first, direction, scale)
+    other = _beside(graph, first, direction, scale, graph.open_mode)
     exponent = None
     for count in (_SETTLING + _ROUNDS[0], *_ROUNDS[1:]):
         for _ in range(count):
             started = float(np.max(np.abs((other - first)[free]) / scale[free]))
-            first, locked = _after(dynamics, first, turn, settings)
-            other, _ = _after(dynamics, other, turn, settings)
+            first, mode = _after(graph, first, turn, settings)
+            other, _ = _after(graph, other, turn, settings)
             away = np.zeros(len(state))
             away[free] = (other - first)[free]
             distance = float(np.max(np.abs(away[free]) / scale[free]))
@@ -90,7 +91,7 @@ def largest_exponent(
                 rates.append(math.log(max(distance / started, _VANISHED)) / turn)
             if distance > _VANISHED * _DISTANCE:
                 direction = away
-            other = _beside(dynamics, first, direction, scale, locked=locked)
+            other = _beside(graph, first, direction, scale, mode)
         exponent = _mean(np.array(rates[_SETTLING:]))
         if abs(exponent.value) * _CLEAR > exponent.error:
             break
@@ -99,12 +100,12 @@ def largest_exponent(
 
 
 def states_at_turns(
-    dynamics: HybridDynamics, state: Vector, turn: float, count: int, settings: SimulationSettings
+    graph: GraphDynamics, state: Vector, turn: float, count: int, settings: SimulationSettings
 ) -> list[Vector]:
     """Return the states of a motion at the ends of periods, with the first state in front.
 
     Args:
-        dynamics: The system.
+        graph: The graph of modes.
         state: The first state, ``(n_x,)``.
         turn: Length of a period [s].
         count: Number of periods.
@@ -115,7 +116,7 @@ def states_at_turns(
     """
     states = [state]
     for _ in range(count):
-        states.append(_after(dynamics, states[-1], turn, settings)[0])
+        states.append(_after(graph, states[-1], turn, settings)[0])
     return states
 
 
@@ -126,32 +127,33 @@ def _mean(rates: Vector) -> Exponent:
 
 
 def _beside(
-    dynamics: HybridDynamics,
-    state: Vector,
-    direction: Vector,
-    scale: Vector,
-    *,
-    locked: bool = False,
+    graph: GraphDynamics, state: Vector, direction: Vector, scale: Vector, mode: GraphMode
 ) -> Vector:
-    """Return a state at the distance, on the stop if the motion is there."""
+    """Return an admissible state at the distance, on the closed stops of a mode."""
+    closed, sides = mode
     size = float(np.max(np.abs(direction) / scale))
     for sign in (1.0, -1.0):
         other = state + sign * _DISTANCE / size * direction
-        if locked:
-            return dynamics.on_stop(other)
-        if dynamics.gap(other) >= 0.0:
+        for stop in closed:
+            other = graph.holding((closed, sides), stop).on_stop(other)
+        inside = [
+            view
+            for stop, view in enumerate(graph.open_views)
+            if stop not in closed and view.gap(other) < 0.0
+        ]
+        if not inside:
             return other
-    return dynamics.on_stop(other)
+    for view in inside:
+        other = view.on_stop(other)
+    return other
 
 
 def _after(
-    dynamics: HybridDynamics, state: Vector, time: float, settings: SimulationSettings
-) -> tuple[Vector, bool]:
-    """Return the state of a motion after a time, and whether it is on the stop."""
-    task = SimulationTask(
-        dynamics=dynamics, state=state, until=time, settings=settings, goes_on=True
-    )
-    end, locked = state, False
+    graph: GraphDynamics, state: Vector, time: float, settings: SimulationSettings
+) -> tuple[Vector, GraphMode]:
+    """Return the state of a motion after a time, and its mode."""
+    task = SimulationTask(dynamics=graph, state=state, until=time, settings=settings, goes_on=True)
+    end, mode = state, graph.open_mode
     for piece in pieces(task):
-        end, locked = piece.state, piece.locked
-    return end, locked
+        end, mode = piece.state, piece.mode
+    return end, mode

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.model import GraphMode
 from zeno_orbits.simulation.events import Event
 
 
@@ -18,11 +19,21 @@ class Piece:
         states: States after the steps, ``(n, n_x)``.
         time: End time [s].
         state: State at the end, ``(n_x,)``.
-        locked: Whether contact persists at the end.
+        mode: Mode at the end.
+        starts: Start time [s] and mode of each arc, with `mode` for the arc that goes on.
     """
 
     events: Sequence[Event]
     states: Vector
     time: float
     state: Vector
-    locked: bool
+    mode: GraphMode
+    starts: Sequence[tuple[float, GraphMode]] = ()
+
+    def mode_after(self, time: float) -> GraphMode:
+        """Return the mode just after an event of the piece.
+
+        Args:
+            time: Time of the event [s].
+        """
+        return next((mode for start, mode in self.starts if start >= time), self.mode)

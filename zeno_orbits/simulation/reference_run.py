@@ -790,6 +790,14 @@ class ReferenceRun(StopRun):
         self.follower.apart = _APART * self.own.time if self._has_others else 0.0
         self.stop_name = self.graph.stop_names[focus] if self.graph.stop_names else ""
 
+    def mode_at(self, start: ArcStart) -> GraphMode:
+        """Return the mode of an arc that starts now.
+
+        Args:
+            start: The start.
+        """
+        return self._closed(start), self.sides
+
     def _closed(self, start: ArcStart) -> tuple[int, ...]:
         """Return the closed stops of an arc."""
         if start.mode is Mode.FREE:

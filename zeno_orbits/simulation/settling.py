@@ -12,14 +12,14 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model import HybridDynamics, own_time
+from zeno_orbits.model import GraphDynamics, HybridDynamics, own_time
 from zeno_orbits.simulation.attractor import AttractorKind, scale_of
-from zeno_orbits.simulation.events import Event, Impact, Release
+from zeno_orbits.simulation.events import Event, Impact, SwitchEvent
 from zeno_orbits.simulation.lyapunov import Exponent, largest_exponent, states_at_turns
 from zeno_orbits.simulation.watch import MotionEnd, clock_turn, transient_settings, watched
 
 _KEPT = 512
-"""Number of stored impacts. A period of up to half of them is found."""
+"""Number of stored impacts and switches. A period of up to half of them is found."""
 _FEW = 24
 """Impacts below which nothing is concluded from them."""
 _QUARTERS, _GROWS = 4, 1.02
@@ -42,23 +42,15 @@ _ROUNDED, _COUNTED = 1e-15, 1e-13
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RepeatedCycle:
-    """A period of a motion whose impacts repeat.
+    """A period of a motion whose impacts and switches repeat.
 
     Attributes:
         period: [s].
-        impacts: Impacts in it.
-        zeno_points: Zeno points in it.
-        releases: Releases in it.
-        state: State after its last impact, ``(n_x,)``.
-        slowest: Smallest speed of an impact in it.
+        events: Its events, the last impact or switch at the end.
     """
 
     period: float
-    impacts: int
-    zeno_points: int
-    releases: int
-    state: Vector
-    slowest: float
+    events: tuple[Event, ...]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -70,23 +62,23 @@ class MotionLog:
         usual: Size that each state usually has, ``(n_x,)``.
         elastic: Whether impacts lose nothing, so that a change per impact below the local error
             may be an error.
-        impacts: The last impacts and their times.
-        others: Times of the last Zeno points and releases, with True for a release.
+        events: The last events and their times.
         speeds: Speed of every impact.
         times: Times of all impacts [s].
+        count: Number of impacts and switches so far.
+        last: Time of the last of them [s].
     """
 
     units: Sequence[str]
     usual: Vector | float = 1.0
     elastic: bool = False
-    impacts: deque[tuple[float, Impact]] = field(
-        default_factory=lambda: deque[tuple[float, Impact]](maxlen=_KEPT)
-    )
-    others: deque[tuple[float, bool]] = field(
-        default_factory=lambda: deque[tuple[float, bool]](maxlen=2 * _KEPT)
+    events: deque[tuple[float, Event]] = field(
+        default_factory=lambda: deque[tuple[float, Event]](maxlen=2 * _KEPT)
     )
     speeds: list[float] = field(default_factory=list[float])
     times: list[float] = field(default_factory=list[float])
+    count: int = 0
+    last: float = 0.0
 
     def add(self, event: Event, since: float = 0.0) -> None:
         """Note an event.
@@ -96,55 +88,52 @@ class MotionLog:
             since: When its execution started [s].
         """
         time = since + event.time
+        self.events.append((time, event))
+        if isinstance(event, Impact | SwitchEvent):
+            self.count, self.last = self.count + 1, time
         if isinstance(event, Impact):
-            self.impacts.append((time, event))
             self.speeds.append(-event.approach_rate)
             self.times.append(time)
-        else:
-            self.others.append((time, isinstance(event, Release)))
+
+    def _marks(self) -> list[int]:
+        """Return the places of the impacts and switches among the last events."""
+        every = [
+            k for k, (_, one) in enumerate(self.events) if isinstance(one, Impact | SwitchEvent)
+        ]
+        return every[-_KEPT:]
 
     def scale(self) -> Vector:
-        """Return the size of each state at the last impacts, ``(n_x,)``."""
-        states = [impact.state_plus for _, impact in list(self.impacts)[-_FEW:]]
+        """Return the size of each state at the last impacts and switches, ``(n_x,)``."""
+        states = [self.events[k][1].after for k in self._marks()[-_FEW:]]
         return scale_of(states, self.units, self.usual)
 
     def cycle(self, close: float) -> RepeatedCycle | None:
-        """Return the shortest period after which the impacts repeat, if they have twice.
+        """Return the shortest period after which impacts and switches repeat, if they have twice.
 
         Args:
             close: Change of a state that counts as none, relative.
         """
-        n_seen = len(self.impacts)
+        marks = self._marks()
+        n_seen = len(marks)
         if n_seen < 3:
             return None
-        scale = self.scale()
-        rows = np.array([impact.state_plus for _, impact in self.impacts]) / scale
+        rows = np.array([self.events[k][1].after for k in marks]) / self.scale()
         away = np.max(np.abs(rows[-1] - rows[:-1]), axis=1)[::-1]
         for place in np.flatnonzero(away[: (n_seen - 1) // 2] < close).tolist():
             n = place + 1
             if np.max(np.abs(rows[-n:] - rows[-2 * n : -n])) < close:
-                return self._cycle_of(n)
+                first, last = marks[-1 - n], marks[-1]
+                within = [one for _, one in list(self.events)[first + 1 : last + 1]]
+                period = self.events[last][0] - self.events[first][0]
+                return RepeatedCycle(period=period, events=tuple(within))
         return None
-
-    def _cycle_of(self, n: int) -> RepeatedCycle:
-        end, last = self.impacts[-1]
-        start = self.impacts[-1 - n][0]
-        within = [released for time, released in self.others if start < time <= end]
-        return RepeatedCycle(
-            period=end - start,
-            impacts=n,
-            zeno_points=len(within) - sum(within),
-            releases=sum(within),
-            state=last.state_plus,
-            slowest=min(self.speeds[-n:]),
-        )
 
     def drift(self) -> float:
         """Return the steady change of the speed of impacts, relative and per impact, else zero.
 
         An orbit is approached by smaller and smaller changes. Elastic impacts have none.
         """
-        speeds = np.array([-impact.approach_rate for _, impact in self.impacts])
+        speeds = np.array(self.speeds[-_KEPT:])
         if len(speeds) < _FEW or not np.all(speeds > 0.0):
             return 0.0
         logarithms = np.log(speeds)
@@ -190,12 +179,12 @@ class AttractorVerdict:
 
 
 def verdict(
-    dynamics: HybridDynamics, log: MotionLog, state: Vector, time: float, *, close: float
+    graph: GraphDynamics, log: MotionLog, state: Vector, time: float, *, close: float
 ) -> AttractorVerdict:
     """Classify a motion that neither rests nor diverges.
 
     Args:
-        dynamics: The system.
+        graph: The graph of modes.
         log: Events of the motion.
         state: Final state, ``(n_x,)``.
         time: Duration of the simulation [s].
@@ -203,7 +192,7 @@ def verdict(
     """
     cycle, drift = log.cycle(close), log.drift()
     if cycle is not None and not drift:
-        turns = turns_in(dynamics, state, cycle.period)
+        turns = turns_in(graph.first, state, cycle.period)
         return AttractorVerdict(kind=AttractorKind.REPEATS, cycle=cycle, turns=turns)
     if log.grows(time):
         return AttractorVerdict(kind=AttractorKind.GROWS)
@@ -212,14 +201,13 @@ def verdict(
         much = f"{abs(drift):.1g}" if abs(drift) > _COUNTED else f"less than {_COUNTED:g}"
         reason = f"its impacts become steadily {word}, by {much} of their speed each"
         return AttractorVerdict(kind=AttractorKind.UNDECIDED, reason=reason)
-    struck = bool(log.times) and log.times[-1] > time / 2
     settings = transient_settings(_ERROR)
     try:
-        if not struck:
-            return _without_impacts(dynamics, log, state, close)
-        turn = clock_turn(dynamics, state) or own_time(dynamics, state)
-        found = largest_exponent(dynamics, state, turn=turn, scale=log.scale(), settings=settings)
-        later = _later(dynamics, log, state, found, time, close)
+        if not log.last > time / 2:
+            return without_events(graph, log, state, close)
+        turn = clock_turn(graph.first, state) or own_time(graph.first, state)
+        found = largest_exponent(graph, state, turn=turn, scale=log.scale(), settings=settings)
+        later = _later(graph, log, state, found, time, close)
         if later is not None:
             return later
     except SimulationError as error:
@@ -231,7 +219,7 @@ def verdict(
 
 
 def _later(
-    dynamics: HybridDynamics,
+    graph: GraphDynamics,
     log: MotionLog,
     state: Vector,
     exponent: Exponent,
@@ -248,30 +236,39 @@ def _later(
     if needed > time:
         return None
     after = MotionLog(units=log.units, usual=log.usual, elastic=log.elastic)
-    for event in watched(dynamics, state, until=needed, error=_ERROR, goes_on=True):
-        if isinstance(event, MotionEnd):
-            state = event.state
-        else:
+    for piece in watched(graph, state, until=needed, error=_ERROR, goes_on=True):
+        state = piece.state
+        for event in () if isinstance(piece, MotionEnd) else piece.events:
             after.add(event)
     cycle = after.cycle(close)
     if cycle is not None:
-        turns = turns_in(dynamics, state, cycle.period)
+        turns = turns_in(graph.first, state, cycle.period)
         return AttractorVerdict(kind=AttractorKind.REPEATS, cycle=cycle, turns=turns)
-    if after.times and after.times[-1] > needed / 2:
+    if after.last > needed / 2:
         return None
-    found = _without_impacts(dynamics, log, state, close)
+    found = without_events(graph, log, state, close)
     return found if found.kind is AttractorKind.REPEATS else None
 
 
-def _without_impacts(
-    dynamics: HybridDynamics, log: MotionLog, state: Vector, close: float
+def without_events(
+    graph: GraphDynamics, log: MotionLog, state: Vector, close: float
 ) -> AttractorVerdict:
-    """Classify a motion without impacts, from its states at periods of the clock."""
-    turn = clock_turn(dynamics, state)
+    """Classify a motion without events, from its states at periods of the clock.
+
+    Args:
+        graph: The graph of modes.
+        log: Events of the motion.
+        state: A late state, ``(n_x,)``.
+        close: Relative change over a period that counts as zero.
+
+    Raises:
+        SimulationError: If the motion cannot be continued.
+    """
+    turn = clock_turn(graph.first, state)
     if turn is None:
         return AttractorVerdict(kind=AttractorKind.UNDECIDED, reason="it strikes the stop no more")
     settings = transient_settings(_ERROR)
-    states = states_at_turns(dynamics, state, turn, 2 * _TURNS, settings)
+    states = states_at_turns(graph, state, turn, 2 * _TURNS, settings)
     scale = scale_of(states, log.units, log.usual)
     rows = np.array(states) / scale
     for n in range(1, _TURNS + 1):

@@ -14,12 +14,12 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, StepLimitError, any_number
-from zeno_orbits.loop import loop_library
+from zeno_orbits.loop import UnknownOperationError, loop_library
 from zeno_orbits.model import GraphDynamics, HybridDynamics, graph_of
 from zeno_orbits.simulation.arc_follower import ArcStart
 from zeno_orbits.simulation.compiled.executions import by_loop, pieces_by_loop, serves
 from zeno_orbits.simulation.compiled.legs import LegFollower
-from zeno_orbits.simulation.execution import Execution, Mode
+from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.reference_run import ReferenceRun
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
@@ -150,7 +150,21 @@ def pieces(task: SimulationTask) -> Iterator[Piece]:
         InputError: If the state is not admissible.
         SimulationError: If the execution cannot be continued, after the piece before that.
     """
-    return pieces_by_loop(task) if serves(task) else pieces_by_reference(task)
+    reached = -math.inf
+    if serves(task):
+        try:
+            for piece in pieces_by_loop(task):
+                yield piece
+                reached = piece.time
+        except UnknownOperationError:
+            # Of a mode that the motion has come to.
+            pass
+        else:
+            return
+    for piece in pieces_by_reference(task):
+        if piece.time > reached:
+            later = [event for event in piece.events if event.time > reached]
+            yield replace(piece, events=later)
 
 
 def pieces_by_reference(task: SimulationTask) -> Iterator[Piece]:
@@ -192,10 +206,14 @@ def _piece(run: ReferenceRun, start: ArcStart | None, before: ArcStart, n_x: int
     last = run.arcs[-1] if run.arcs else None
     now = start or before
     ended = start is None and last is not None
+    mode = run.mode_at(now)
+    if ended and last is not None:
+        mode = last.mode_in(run.graph)
     return Piece(
         events=list(run.events),
         states=np.reshape(states, (-1, n_x)),
         time=last.end_time if ended and last is not None else now.time,
         state=last.end_state if ended and last is not None else now.state,
-        locked=(last.mode if ended and last is not None else now.mode) is Mode.LOCKED,
+        mode=mode,
+        starts=[(arc.start_time, arc.mode_in(run.graph)) for arc in run.arcs],
     )

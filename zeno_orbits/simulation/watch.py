@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
@@ -13,15 +13,14 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
 from zeno_orbits.simulation.attractor import (
     has_left,
     has_overflowed,
     is_still,
     keeps_holding,
 )
-from zeno_orbits.simulation.compiled.executions import releases_by_loop, serves
-from zeno_orbits.simulation.events import Event, Impact
+from zeno_orbits.simulation.events import Impact
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
 from zeno_orbits.simulation.simulator import pieces
@@ -87,35 +86,40 @@ def transient_settings(error: float, far: tuple[float, ...] = ()) -> SimulationS
 
 
 def watched(
-    dynamics: HybridDynamics,
+    graph: GraphDynamics,
     state: Vector,
     *,
     until: float,
     error: float,
     bounds: Vector | None = None,
-    releases: float = math.inf,
     goes_on: bool = False,
-) -> Iterator[Event | MotionEnd]:
-    """Yield the events of a motion, and finally its attractor.
+) -> Iterator[Piece | MotionEnd]:
+    """Yield a motion in pieces, and finally its attractor.
 
     Args:
-        dynamics: The system.
+        graph: The graph of modes.
         state: Initial state, ``(n_x,)``.
         until: Longest simulated time [s].
         error: Relative local error of a step.
         bounds: Largest modulus of each state of a motion that has not escaped, ``(n_x,)``.
-        releases: The motion is followed up to this many releases.
         goes_on: Whether the state continues an earlier motion, or is near a state of it.
     """
     far = np.full(len(state), np.inf) if bounds is None else bounds
-    task = _task(dynamics, state, until, error, far, releases, goes_on=goes_on)
-    watch = _Watch(dynamics, state, until, far, task.settings.contact)
+    task = SimulationTask(
+        dynamics=graph,
+        state=state,
+        until=until,
+        settings=transient_settings(error, tuple(far[: graph.n_q].tolist())),
+        goes_on=goes_on,
+    )
+    watch = _Watch(graph, state, until, far, task.settings.contact)
     recent = [state[None]]
     try:
         for piece in pieces(task):
-            yield from piece.events
             recent = [recent[-1], piece.states] if len(piece.states) else recent
             end = watch.end_after(piece)
+            if end is None or piece.events:
+                yield piece
             if end is not None:
                 yield end
                 return
@@ -126,91 +130,38 @@ def watched(
             rows = np.concatenate(recent)
             within = rows[np.all(np.abs(rows) <= far, axis=1)]
             last = within[-1] if len(within) else state
-            name = _first_beyond(dynamics, last, np.array(caught.state), far) or name
+            name = _first_beyond(graph, last, np.array(caught.state), far) or name
         yield _end(caught, Reason.ESCAPE, name)
     except SimulationError as caught:
-        beyond = has_overflowed(caught.state, dynamics.n_q, dynamics.own)
+        beyond = has_overflowed(caught.state, graph.n_q, graph.own)
         if beyond.any():
-            yield _end(caught, Reason.ESCAPE, dynamics.state_names[int(np.argmax(beyond))])
+            yield _end(caught, Reason.ESCAPE, graph.state_names[int(np.argmax(beyond))])
         else:
             yield _end(caught, Reason.FAILURE, caught.reason)
     except InputError as caught:
         detail = f"The start is not admissible: {str(caught).partition('must ')[2]}"
-        if dynamics.gap(state) < 0.0:
+        if graph.has_one_guard and graph.first.gap(state) < 0.0:
             detail = "The start is not admissible: the gap is negative"
         yield MotionEnd(time=0.0, state=state, reason=Reason.FAILURE, detail=detail)
 
 
-def watched_releases(
-    dynamics: HybridDynamics,
-    states: Vector,
-    *,
-    until: float,
-    error: float,
-    bounds: Vector | None,
-    releases: float,
-) -> Iterator[Sequence[Event]]:
-    """Yield the events of motions from several states: at least the events at releases.
-
-    These are the releases, the Zeno points and the first impact after each release.
-
-    Args:
-        dynamics: The system.
-        states: States that continue earlier motions, or are near states of them, ``(n, n_x)``.
-        until: Longest simulated time [s].
-        error: Relative local error of a step.
-        bounds: Largest modulus of each state of a motion that has not escaped, ``(n_x,)``.
-        releases: The motions are followed up to this many releases.
-    """
-    far = np.full(states.shape[1], np.inf) if bounds is None else bounds
-    task = _task(dynamics, states[0], until, error, far, releases, goes_on=True)
-    # The loop alone does not know bounds of velocities.
-    if serves(task) and not np.any(np.isfinite(far[dynamics.n_q :])):
-        yield from releases_by_loop(task, states)
-        return
-    limits = {"until": until, "error": error, "releases": releases}
-    for state in states:
-        events = watched(dynamics, state, bounds=bounds, goes_on=True, **limits)
-        yield [event for event in events if not isinstance(event, MotionEnd)]
-
-
-def _task(
-    dynamics: HybridDynamics,
-    state: Vector,
-    until: float,
-    error: float,
-    far: Vector,
-    releases: float,
-    *,
-    goes_on: bool,
-) -> SimulationTask:
-    return SimulationTask(
-        dynamics=dynamics,
-        state=state,
-        until=until,
-        most_releases=releases,
-        settings=transient_settings(error, tuple(far[: dynamics.n_q].tolist())),
-        goes_on=goes_on,
-    )
-
-
-def _first_beyond(dynamics: HybridDynamics, before: Vector, after: Vector, far: Vector) -> str:
+def _first_beyond(graph: GraphDynamics, before: Vector, after: Vector, far: Vector) -> str:
     """Return the coordinate that passes its bound first in a step, if it is known.
 
     In between a coordinate is about linear in time: a step may lead beyond several bounds.
 
     Args:
-        dynamics: The system.
+        graph: The graph of modes.
         before: State at the start of the step, ``(n_x,)``.
         after: State at its end, ``(n_x,)``.
         far: Bounds, ``(n_x,)``.
     """
-    q, to, bounds = (row[: dynamics.n_q] for row in (before, after, far))
+    q, to, bounds = (row[: graph.n_q] for row in (before, after, far))
     beyond = np.flatnonzero((np.abs(to) > bounds) & (np.abs(q) <= bounds))
     if not len(beyond):
         return ""
     parts = (np.sign(to) * bounds - q)[beyond] / (to - q)[beyond]
-    return dynamics.state_names[int(beyond[np.argmin(parts)])]
+    return graph.state_names[int(beyond[np.argmin(parts)])]
 
 
 def _end(error: SimulationError, reason: Reason, detail: str) -> MotionEnd:
@@ -222,32 +173,34 @@ class _Watch:
 
     def __init__(
         self,
-        dynamics: HybridDynamics,
+        graph: GraphDynamics,
         state: Vector,
         until: float,
         bounds: Vector,
         contact: float,
     ) -> None:
-        self._dynamics, self._until, self._contact = dynamics, until, contact
-        self._moving = [k for k in range(len(state)) if k not in dynamics.clock]
+        self._graph, self._until, self._contact = graph, until, contact
+        self._clock = graph.first.clock
+        self._moving = [k for k in range(len(state)) if k not in self._clock]
         # The simulation itself ends at the bound of a coordinate.
-        self._bounds = bounds[dynamics.n_q :]
+        self._bounds = bounds[graph.n_q :]
         self._is_bounded = bool(self._bounds.size) and float(self._bounds.min()) < np.inf
         self._largest = np.zeros(len(self._moving))
-        self._unrated: list[tuple[Vector, bool]] = [(state, False)]
-        self._passed = [state[None, : dynamics.n_q]]
+        self._unrated: list[tuple[Vector, GraphMode]] = [(state, graph.open_mode)]
+        self._passed = [state[None, : graph.n_q]]
         self._changed = 0.0
 
     def end_after(self, piece: Piece) -> MotionEnd | None:
         """Return the end of the motion if it shows after a piece."""
-        n_q, names = self._dynamics.n_q, self._dynamics.state_names
+        n_q, names = self._graph.n_q, self._graph.state_names
         if piece.events:
             self._changed = piece.events[-1].time
         if len(self._unrated) < _RATED:
-            rated = [(one.state_minus, False) for one in piece.events if isinstance(one, Impact)]
+            free: GraphMode = (), piece.mode[1]
+            rated = [(one.state_minus, free) for one in piece.events if isinstance(one, Impact)]
             if not piece.events:
                 every = len(piece.states) // _SOME + 1
-                rated = [(x, piece.locked) for x in piece.states[::every]]
+                rated = [(x, piece.mode) for x in piece.states[::every]]
             self._unrated += rated[: _RATED - len(self._unrated)]
         if self._is_bounded and len(piece.states):
             beyond = np.max(np.abs(piece.states[:, n_q:]), axis=0) > self._bounds
@@ -267,7 +220,7 @@ class _Watch:
         left = has_left(piece.state[:n_q], self._reach())
         if left.any():
             return self._ended(piece, Reason.ESCAPE, names[int(np.argmax(left))])
-        held = piece.locked and self._changed < self._until / 2
+        held = bool(piece.mode[0]) and self._changed < self._until / 2
         return self._ended(piece, Reason.HELD if held else Reason.HORIZON, "")
 
     def _reach(self) -> Vector:
@@ -277,50 +230,59 @@ class _Watch:
     def _ended(self, piece: Piece, reason: Reason, detail: str) -> MotionEnd:
         return MotionEnd(time=piece.time, state=piece.state, reason=reason, detail=detail)
 
-    def _rates(self, x: Vector, *, locked: bool) -> Vector:
-        mode = self._dynamics.locked if locked else self._dynamics.free
-        return np.abs(mode.rate(x)[self._moving])
+    def _rates(self, x: Vector, mode: GraphMode) -> Vector:
+        closed, sides = mode
+        flow = self._graph.flow((closed, self._graph.sides_at(x, sides)))
+        return np.abs(flow.rate(x)[self._moving])
 
     def _rests(self, piece: Piece) -> bool:
         """Return True if all states except the clock are constant, for every phase of the clock."""
-        dynamics, x, locked = self._dynamics, piece.state, piece.locked
-        rates = [self._rates(state, locked=mode) for state, mode in self._unrated]
+        graph, x, mode = self._graph, piece.state, piece.mode
+        rates = [self._rates(*one) for one in self._unrated]
         self._unrated.clear()
-        now = self._rates(x, locked=locked)
+        now = self._rates(x, mode)
         self._largest = np.max([self._largest, now, *rates], axis=0)
-        own = dynamics.own.rates(dynamics.n_q, len(x))
+        own = graph.own.rates(graph.n_q, len(x))
         zero = self._contact * own[self._moving]
         if not is_still(now[None, None], self._largest[None], zero)[0]:
             return False
-        if not dynamics.clock:
+        whole = clock_turn(graph.first, x)
+        if whole is None:
             return True
+        # A switch of the clock may act on a motion that stands still before it.
+        if graph.switch_names and piece.time - self._changed < whole:
+            return False
         turn = np.linspace(0.0, 2 * np.pi, _PHASES + 1)
         states = np.repeat(x[None], len(turn), axis=0)
-        states[:, dynamics.clock] = _turned(x[list(dynamics.clock)], turn)
-        phases = np.array([self._rates(state, locked=locked) for state in states])
+        states[:, self._clock] = _turned(x[list(self._clock)], turn)
+        phases = np.array([self._rates(state, mode) for state in states])
         if not is_still(phases[None], self._largest[None], zero)[0]:
             return False
-        if not locked:
-            return True
-        guards = np.array([dynamics.locked.guard(state) for state in states])
-        whole = clock_turn(dynamics, x, locked=locked)
-        step = math.nan if whole is None else whole / _PHASES
+        return all(self._holds(states, mode, k, whole / _PHASES) for k in mode[0])
+
+    def _holds(self, states: Vector, mode: GraphMode, stop: int, step: float) -> bool:
+        """Return True if a closed stop stays closed over a turn of the clock."""
+        closed, sides = mode
+        guards = np.array(
+            [
+                self._graph.holding((closed, self._graph.sides_at(x, sides)), stop).locked.guard(x)
+                for x in states
+            ]
+        )
         return bool(keeps_holding(guards[None, :, 0], guards[None, :, 1], step)[0])
 
 
-def clock_turn(dynamics: HybridDynamics, state: Vector, *, locked: bool = False) -> float | None:
+def clock_turn(dynamics: HybridDynamics, state: Vector) -> float | None:
     """Return the time of a turn of the clock [s], ``None`` without a clock.
 
     Args:
         dynamics: The system.
         state: Any state, ``(n_x,)``.
-        locked: The flow on the stop is asked.
     """
     if not dynamics.clock:
         return None
-    mode = dynamics.locked if locked else dynamics.free
     places = list(dynamics.clock)
-    (c, s), (c_rate, s_rate) = state[places], mode.rate(state)[places]
+    (c, s), (c_rate, s_rate) = state[places], dynamics.free.rate(state)[places]
     rate = float((c * s_rate - s * c_rate) / (c**2 + s**2))
     return 2 * math.pi / abs(rate) if rate != 0.0 else None
 

@@ -106,15 +106,31 @@ class SectionMode:
             first: The arc.
             events: Events up to the event at which it starts, in order.
         """
-        section = orbit_event_name(events[-1])
-        kind, _, name = section.partition(" ")
-        left = "" if name in first.closed else name
+        found = cls.in_mode(first.closed, first.sides, events)
+        return replace(found, stop=first.stop_left or found.stop)
+
+    @classmethod
+    def in_mode(
+        cls, closed: tuple[str, ...], sides: tuple[bool, ...], events: Sequence[Event]
+    ) -> SectionMode:
+        """Return the mode of a motion from its closed stops.
+
+        Args:
+            closed: Names of the closed stops.
+            sides: Side of every kink.
+            events: Events up to the event at which the mode starts, in order.
+        """
+        kind, _, name = orbit_event_name(events[-1]).partition(" ")
+        left = "" if name in closed else name
         is_caused = any(event.time == events[-1].time for event in events[:-1])
         # At a release that another event causes, the contact force is not zero.
         is_thrown = kind == "impact" or (kind == "release" and is_caused)
-        stop = first.stop_left or (left if is_thrown else "")
-        released = left if kind == "release" and not is_caused else ""
-        return cls(closed=first.closed, sides=first.sides, stop=stop, released=released)
+        return cls(
+            closed=closed,
+            sides=sides,
+            stop=left if is_thrown else "",
+            released=left if kind == "release" and not is_caused else "",
+        )
 
     @classmethod
     def after(cls, execution: Execution, section: str, *times: float) -> SectionMode | None:
@@ -505,6 +521,7 @@ def closed_return(
     parameters: Sequence[int] = (),
     mode: SectionMode | None = None,
     is_near: bool = False,
+    exact: float = 100.0 * _EXACT,
 ) -> EventReturn:
     """Return the periodic orbit near a start, by Newton's method.
 
@@ -520,6 +537,7 @@ def closed_return(
             of the motion from the start.
         is_near: Whether the start is near the orbit, so that every correction is smaller than the
             one before. The first one that is not ends the search.
+        exact: Relative correction of an orbit. Newton's method ends at a hundredth of it.
 
     Raises:
         SimulationError: If Newton's method does not converge, or the motion does not return.
@@ -546,14 +564,15 @@ def closed_return(
             best, best_size = found, size
         elif best_size < _ROUNDED:
             break
-        if size <= _EXACT or (is_near and not size < before):
+        if size <= 0.01 * exact or (is_near and not size < before):
             break
         if size > 0.5:
             change *= 0.5 / size
         x = found.start + change
     arcs = () if best is None else best.execution.arcs
-    if best is None or best_size > max(
-        1e-10, time_blur(arcs, graph, best.period, largest_states(arcs, graph))
+    if best is None or (
+        best_size > max(1e-10, exact)
+        and best_size > time_blur(arcs, graph, best.period, largest_states(arcs, graph))
     ):
         raise SimulationError(
             "Newton's method does not converge to a periodic orbit: the motion may repeat after "

@@ -13,7 +13,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.integrators import RungeKutta, Step, Tolerance
 from zeno_orbits.loop import GraphProgram, LoopRun, UnknownOperationError, binding
-from zeno_orbits.model import HybridDynamics, require_start
+from zeno_orbits.model import GraphMode, HybridDynamics, require_start
 from zeno_orbits.simulation.compiled.interrupted import interruption
 from zeno_orbits.simulation.compiled.programs import add_asked, program_of_graph
 from zeno_orbits.simulation.compiled.task_settings import (
@@ -97,18 +97,20 @@ def pieces_by_loop(task: SimulationTask) -> Iterator[Piece]:
             except SimulationError as error:
                 interrupted = error
             record = run.loop.taken()
-            time, mode, state = run.loop.now()
-            if run.is_over and len(record.arcs):
+            time, mode, state = run.mode_now()
+            starts = [(float(row[1]), run.mode_of(row)) for row in record.arcs]
+            if run.is_over and starts:
                 # The run itself stores only the start of its last arc.
                 last = record.arcs[-1]
-                mode, time = int(last[0]), float(last[2])
+                mode, time = starts[-1][1], float(last[2])
                 state = last[binding.ARC_WIDTH + n_x :][:n_x]
             yield Piece(
                 events=run.events_of(record.events),
                 states=record.steps[:, 2 : 2 + n_x],
                 time=time,
                 state=state,
-                locked=mode == binding.LOCKED,
+                mode=mode,
+                starts=starts,
             )
         if interrupted is not None:
             raise interrupted
@@ -116,51 +118,14 @@ def pieces_by_loop(task: SimulationTask) -> Iterator[Piece]:
         run.loop.close()
 
 
-def releases_by_loop(task: SimulationTask, states: Vector) -> Iterator[list[Event]]:
-    """Yield the releases of executions from several states, each until it ends or is interrupted.
-
-    A release comes after the first impact since the previous release and the Zeno point.
-
-    Args:
-        task: Simulation task for which `serves` is true. Its own state is not used.
-        states: States that continue an earlier execution, ``(n, n_x)``.
-    """
-    run = _Run(task, records=False)
-    try:
-        for k, state in enumerate(states):
-            if k:
-                run.restart(state)
-            try:
-                while not run.is_over:
-                    run.go_on(steps=0, polynomials=0, arcs=0, events=_STEPS)
-            except SimulationError:
-                pass  # The releases so far count.
-            rows = run.loop.record().events
-            yield run.events_of(rows[_at_releases(rows[:, 0].tolist())])
-    finally:
-        run.loop.close()
-
-
-def _at_releases(kinds: list[float]) -> list[int]:
-    """Return the rows of all events but the later impacts of each sequence."""
-    found = list[int]()
-    struck = False
-    for k, kind in enumerate(kinds):
-        if kind != binding.IMPACT or not struck:
-            found.append(k)
-        struck = kind == binding.IMPACT or (struck and kind != binding.RELEASE)
-    return found
-
-
 class _Run:
     """A run of the loop in progress, with what it asks of Python."""
 
-    def __init__(self, task: SimulationTask, *, records: bool = True) -> None:
+    def __init__(self, task: SimulationTask) -> None:
         """Begin the run of a task.
 
         Args:
             task: The simulation task.
-            records: Whether steps and arcs are recorded.
 
         Raises:
             InputError: If the state is not admissible.
@@ -174,7 +139,8 @@ class _Run:
         self._task, self._program = task, program
         self._paths: dict[float, tuple[Step, ...]] = {}
         self._rules: ReferenceRun | None = None
-        settings = filled_settings(task, records=records)
+        self._modes: dict[tuple[int, int], GraphMode] = {}
+        settings = filled_settings(task)
         self.loop = LoopRun(program, settings, graph.p, task.state)
         self.is_over = False
 
@@ -183,10 +149,27 @@ class _Run:
         graph = self._task.graph
         return events_of(rows, len(graph.state_names), graph.stop_names, graph.switch_names)
 
-    def restart(self, state: Vector) -> None:
-        """Begin again at another state, ``(n_x,)``."""
-        self.loop.restart(state)
-        self.is_over = False
+    def mode_of(self, row: Vector) -> GraphMode:
+        """Return the mode of an arc by its row of the record."""
+        place, is_held = int(row[binding.ARC_WIDTH - 1]), row[0] == binding.LOCKED
+        key = -1 - place, int(is_held)
+        if key not in self._modes:
+            view = tuple(self._program.views)[place]
+            held = (view.stop,) if is_held else ()
+            self._modes[key] = tuple(sorted((*view.closed, *held))), view.sides
+        return self._modes[key]
+
+    def mode_now(self) -> tuple[float, GraphMode, Vector]:
+        """Return time, mode and state that the run has reached."""
+        time, mode, state = self.loop.now()
+        seen, graph = self.loop.outlook(), self._task.graph
+        stops = seen.rest | (1 << seen.focus if mode == binding.LOCKED else 0)
+        key = stops, seen.sides
+        if key not in self._modes:
+            closed = tuple(k for k in range(graph.n_watched) if stops >> k & 1)
+            n_kinks = len(graph.switch_names) - graph.n_declared
+            self._modes[key] = closed, tuple(bool(seen.sides >> k & 1) for k in range(n_kinks))
+        return time, self._modes[key], state
 
     def go_on(self, **rows: int) -> None:
         """Continue until the run ends, or a record of these numbers of rows is full.

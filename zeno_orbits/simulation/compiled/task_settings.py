@@ -61,18 +61,16 @@ def run_settings(task: SimulationTask, **others: Any) -> list[RunSettings]:
     return [replace(_shared(*one), **values) for one in _shared_by_stop(task)]
 
 
-def filled_settings(task: SimulationTask, *, records: bool) -> Any:
+def filled_settings(task: SimulationTask) -> Any:
     """Return the same as an array in memory of its own. Most tasks share all but their limits.
 
     Args:
         task: The simulation task.
-        records: Whether steps and arcs are recorded.
     """
     shared = [_shared_memory(*one) for one in _shared_by_stop(task)]
     places = (binding.SettingsType * len(shared))(*shared)
-    limits = {**_own_limits(task), "records": int(records)}
     for place in places:
-        for name, value in limits.items():
+        for name, value in _own_limits(task).items():
             setattr(place, name, value)
     return places
 
