@@ -25,6 +25,7 @@ from zeno_orbits.orbits import (
     closed_return,
     contact_view,
     contacts_of,
+    derivative_of_return,
     event_return,
     event_sections,
     inverse_of_closing,
@@ -53,7 +54,7 @@ class ClosedOrbit:
     Attributes:
         attractor: The orbit.
         n_returns: Events of the section in a period.
-        chart: Chart of the admissible states around its state on the section.
+        chart: Chart around its state on the section.
         slope: Derivative of the return in the chart, ``(d, d)``.
     """
 
@@ -63,6 +64,8 @@ class ClosedOrbit:
     slope: Vector
 
 
+_AT_ONCE = 1e-9
+"""Part of the period in which an event belongs to the start."""
 _VANISHED = 0.02
 """Part of its size below which a motion decays to an equilibrium, if returns contract."""
 _FALLS, _STEPS = 0.8, 8
@@ -120,13 +123,15 @@ def orbit_near(
         found = shortest_return(graph, found, settings)
         multipliers = multipliers_of_return(graph, found)
         chart, slope = _linear(graph, found)
-        missed = np.linalg.solve(np.eye(len(slope)) - slope, chart.coordinates(found.end))
+        missed = np.linalg.solve(
+            np.eye(len(slope)) - slope, chart.components(found.end - found.start)
+        )
     except (SimulationError, np.linalg.LinAlgError):
         return None
     change = chart.lift @ missed
     return ClosedOrbit(
         attractor=_attractor(graph, found, multipliers, change, starts),
-        n_returns=sum(orbit_event_name(event) == section for event in found.events),
+        n_returns=sum(orbit_event_name(one) == section for one in found.events[_begin(found) :]),
         chart=replace(chart, centre=found.start + change),
         slope=slope,
     )
@@ -170,7 +175,14 @@ def fades(
 
 
 def _linear(graph: GraphDynamics, found: EventReturn) -> tuple[Section, Vector]:
-    """Return a chart of the admissible states around the start of a return, and its derivative."""
+    """Return a chart around the start of a return, and the derivative in it.
+
+    It is the chart of the section, or of all admissible states after a switch, whose section lies
+    before its reset.
+    """
+    name, section, slope = derivative_of_return(graph, found)
+    if name == orbit_event_name(found.events[-1]) and not name.startswith("switch "):
+        return section, slope
     scale = largest_states(found.execution.arcs, graph)
     chart = kept_section(graph, found.start, found.mode, scale)
     return chart, chart.components(found.by_state @ chart.lift)
@@ -192,8 +204,9 @@ def _attractor(
         change: Correction of its start, ``(n_x,)``.
         starts: Events at which a period starts, the best first.
     """
-    names = [orbit_event_name(event) for event in found.events]
-    name = next(one for one in (*starts, *usual_sections(graph, found.events)) if one in names)
+    names, begin = [orbit_event_name(event) for event in found.events], _begin(found)
+    told = [one for one in starts if one in names]
+    name = (told or usual_sections(graph, found.events))[0]
     place = max(k for k, one in enumerate(names) if one == name)
     kind = kind_of_events([(orbit_event_name(event), event.time) for event in found.events])
     n_x, n = len(change), len(found.events)
@@ -201,13 +214,21 @@ def _attractor(
     state = state_after(found.events[place]) + after[place].state[:, :n_x] @ change
     return Attractor(
         fate=AttractorClass(kind),
-        returns=names.count(name),
+        returns=names[begin:].count(name),
         period=found.period + float(after[-1].time[:n_x] @ change),
         multipliers=multipliers,
         margins=_margins(graph, found),
         state=dict(zip(graph.state_names, state.tolist(), strict=True)),
-        sequence=sequence_of([*names[place + 1 :], *names[: place + 1]]),
+        sequence=sequence_of([*names[place + 1 :], *names[begin : place + 1]]),
     )
+
+
+def _begin(found: EventReturn) -> int:
+    """Return the number of events at the start itself, which the end repeats.
+
+    Rounding has then put the start in contact.
+    """
+    return sum(event.time <= _AT_ONCE * found.period for event in found.events[:-1])
 
 
 def usual_sections(graph: GraphDynamics, events: Sequence[Event]) -> list[str]:

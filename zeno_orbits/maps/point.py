@@ -134,6 +134,7 @@ class Point:
         self._same = max(accuracy.repeats, accuracy.reached)
         # A longer limit does not make events the same.
         self._at_once = _SAME * min(until, WAITING * graph.own.time)
+        self._views = dict(zip(graph.stop_names, graph.open_views, strict=False))
         elastic = all(view.restitution >= 1.0 for view in graph.open_views)
         self._log = MotionLog(units=units, usual=self._usual, elastic=elastic)
         self._checked, self._failures, self._reason = 0, 0, ""
@@ -192,6 +193,8 @@ class Point:
         visits.returns.append(SectionReturn(time=time, state=state))
         del visits.returns[:-_REMEMBERED]
         visits.amplitudes.append(float(np.max(np.abs(state) / visits.unit)))
+        if len(visits.returns) < 2:
+            return None
         self._choose(name)
         return self._returned(visits) if name == self._section else None
 
@@ -205,7 +208,7 @@ class Point:
         if not isinstance(event, Impact):
             self._speeds.pop(event.stop, None)
             return False
-        view = self._graph.open_views[self._graph.stop_names.index(event.stop)]
+        view = self._views[event.stop]
         speed = view.speed_after(event.approach_rate)
         before, self._speeds[event.stop] = self._speeds.get(event.stop, 0.0), speed
         return view.restitution < 1.0 and speed < (1.0 + view.restitution) / 2.0 * before
@@ -214,19 +217,19 @@ class Point:
         """Choose the section among the last events, from time to time and at a new event."""
         if name in self._among and self._count < self._chosen + _AFRESH:
             return
-        self._among = frozenset(map(orbit_event_name, self._recent))
+        names = [orbit_event_name(event) for event in self._recent]
+        self._among = frozenset(names)
         section = next(iter(usual_sections(self._graph, self._recent)), "")
         times = Counter(event.time for event in self._recent)
         release = section.replace("zeno ", "release ", 1)
-        is_own = (times[one.time] == 1 and orbit_event_name(one) == release for one in self._recent)
+        ends = zip(self._recent, names, strict=True)
+        is_own = (times[one.time] == 1 and name == release for one, name in ends)
         # A motion that is held forgets its errors up to the release.
         self._section = release if any(is_own) else section
         self._chosen = self._count
 
     def _returned(self, visits: _Visits) -> Attractor | None:
         """Compare a new return to the section with earlier returns."""
-        if len(visits.returns) < 2:
-            return None
         settling = self._settling(visits)
         if settling.outcome is AttractorKind.DIES_OUT:
             return Attractor(fate=AttractorClass.REST, trend=settling.trend)
@@ -239,11 +242,13 @@ class Point:
 
     def _settling(self, visits: _Visits) -> Settling:
         """Classify the motion from its returns to a section."""
+        # A forced motion strikes for as long as its amplitude changes, by other laws than at rest.
+        fades = not self._graph.first.clock or not self._section.startswith("impact ")
         motion = Motion(
             units=self._units,
             usual=self._usual,
             returns=visits.returns,
-            amplitudes=visits.amplitudes,
+            amplitudes=visits.amplitudes if fades else (),
         )
         return outcome_of(motion, close=self._accuracy.near, apart=_APART)
 
@@ -338,7 +343,7 @@ class Point:
             return None
         if not (
             is_approached(since, away, closed.slope, accuracy.reached)
-            or self._leads_there(closed, away, mode)
+            or self._leads_there(closed, since, away, mode)
         ):
             return None
         passed = [one.state for one in reversed(visits.returns)][::n]
@@ -349,14 +354,19 @@ class Point:
             self.way = replace(self.way, doubtful=is_doubtful)
         return closed.attractor
 
-    def _leads_there(self, closed: ClosedOrbit, away: Vector, mode: SectionMode) -> bool:
+    def _leads_there(
+        self, closed: ClosedOrbit, since: Vector, away: Vector, mode: SectionMode
+    ) -> bool:
         """Return True if returns lead to an orbit from all test points on the way to it.
 
         Args:
             closed: The orbit.
+            since: The return a period before in the chart of the orbit, ``(d,)``.
             away: The last return in the chart of the orbit, ``(d,)``.
             mode: The mode just after the event of the section.
         """
+        if not all_come_nearer(since[None], away[None], closed.slope):
+            return False
         settings = transient_settings(self._accuracy.orbit)
         places, images = list[Vector](), list[Vector]()
         try:

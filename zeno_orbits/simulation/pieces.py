@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from zeno_orbits.arrays import Vector
@@ -20,7 +20,7 @@ class Piece:
         time: End time [s].
         state: State at the end, ``(n_x,)``.
         mode: Mode at the end.
-        starts: Start time [s] and mode of each arc, with `mode` for the arc that goes on.
+        starts: Function that returns start time [s] and mode of each arc but the one that goes on.
     """
 
     events: Sequence[Event]
@@ -28,7 +28,7 @@ class Piece:
     time: float
     state: Vector
     mode: GraphMode
-    starts: Sequence[tuple[float, GraphMode]] = ()
+    starts: Callable[[], Sequence[tuple[float, GraphMode]]] = tuple
 
     def mode_after(self, time: float) -> GraphMode:
         """Return the mode just after an event of the piece.
@@ -36,4 +36,4 @@ class Piece:
         Args:
             time: Time of the event [s].
         """
-        return next((mode for start, mode in self.starts if start >= time), self.mode)
+        return next((mode for start, mode in self.starts() if start >= time), self.mode)

@@ -9,17 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, StepLimitError, any_number
 from zeno_orbits.loop import UnknownOperationError, loop_library
-from zeno_orbits.model import GraphDynamics, HybridDynamics, graph_of
+from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics, graph_of
 from zeno_orbits.simulation.arc_follower import ArcStart
 from zeno_orbits.simulation.compiled.executions import by_loop, pieces_by_loop, serves
 from zeno_orbits.simulation.compiled.legs import LegFollower
-from zeno_orbits.simulation.execution import Execution
+from zeno_orbits.simulation.execution import Arc, Execution
 from zeno_orbits.simulation.pieces import Piece
 from zeno_orbits.simulation.reference_run import ReferenceRun
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
@@ -192,6 +193,10 @@ def pieces_by_reference(task: SimulationTask) -> Iterator[Piece]:
         raise interruption
 
 
+def _starts(graph: GraphDynamics, arcs: Sequence[Arc]) -> list[tuple[float, GraphMode]]:
+    return [(arc.start_time, arc.mode_in(graph)) for arc in arcs]
+
+
 def _piece(run: ReferenceRun, start: ArcStart | None, before: ArcStart, n_x: int) -> Piece:
     """Return the piece of a run in a phase, with the present state.
 
@@ -215,5 +220,5 @@ def _piece(run: ReferenceRun, start: ArcStart | None, before: ArcStart, n_x: int
         time=last.end_time if ended and last is not None else now.time,
         state=last.end_state if ended and last is not None else now.state,
         mode=mode,
-        starts=[(arc.start_time, arc.mode_in(run.graph)) for arc in run.arcs],
+        starts=partial(_starts, run.graph, tuple(run.arcs)),
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from itertools import pairwise
 from statistics import linear_regression
 
@@ -307,7 +307,7 @@ def event_return(
             sequence is another.
     """
     start = x if mode is None else on_section(graph, x, mode)
-    exact = replace(settings, completion=completion or extrapolated(settings))
+    exact = _resolving(settings, completion)
     try:
         execution = simulate(graph, start, until=_WAIT * guess, settings=exact)
     except InputError as error:
@@ -350,6 +350,12 @@ def event_return(
         execution=execution,
         differentiation=EventDerivatives(graph, parameters, exact.tolerance),
     )
+
+
+@lru_cache(maxsize=64)
+def _resolving(settings: SimulationSettings, completion: Completion | None) -> SimulationSettings:
+    """Return settings that resolve impacts. They are asked for at every return."""
+    return replace(settings, completion=completion or extrapolated(settings))
 
 
 def _times_of(execution: Execution, section: str, guess: float) -> list[float]:
@@ -521,7 +527,7 @@ def closed_return(
     parameters: Sequence[int] = (),
     mode: SectionMode | None = None,
     is_near: bool = False,
-    exact: float = 100.0 * _EXACT,
+    exact: float = 10.0 * _EXACT,
 ) -> EventReturn:
     """Return the periodic orbit near a start, by Newton's method.
 
@@ -537,7 +543,7 @@ def closed_return(
             of the motion from the start.
         is_near: Whether the start is near the orbit, so that every correction is smaller than the
             one before. The first one that is not ends the search.
-        exact: Relative correction of an orbit. Newton's method ends at a hundredth of it.
+        exact: Relative correction of an orbit. Newton's method ends at a tenth of it.
 
     Raises:
         SimulationError: If Newton's method does not converge, or the motion does not return.
@@ -564,7 +570,7 @@ def closed_return(
             best, best_size = found, size
         elif best_size < _ROUNDED:
             break
-        if size <= 0.01 * exact or (is_near and not size < before):
+        if size <= 0.1 * exact or (is_near and not size < before):
             break
         if size > 0.5:
             change *= 0.5 / size

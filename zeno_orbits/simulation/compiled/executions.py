@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
@@ -98,11 +99,10 @@ def pieces_by_loop(task: SimulationTask) -> Iterator[Piece]:
                 interrupted = error
             record = run.loop.taken()
             time, mode, state = run.mode_now()
-            starts = [(float(row[1]), run.mode_of(row)) for row in record.arcs]
-            if run.is_over and starts:
+            if run.is_over and len(record.arcs):
                 # The run itself stores only the start of its last arc.
                 last = record.arcs[-1]
-                mode, time = starts[-1][1], float(last[2])
+                mode, time = run.starts(record.arcs[-1:])[0][1], float(last[2])
                 state = last[binding.ARC_WIDTH + n_x :][:n_x]
             yield Piece(
                 events=run.events_of(record.events),
@@ -110,7 +110,7 @@ def pieces_by_loop(task: SimulationTask) -> Iterator[Piece]:
                 time=time,
                 state=state,
                 mode=mode,
-                starts=starts,
+                starts=partial(run.starts, record.arcs),
             )
         if interrupted is not None:
             raise interrupted
@@ -149,15 +149,15 @@ class _Run:
         graph = self._task.graph
         return events_of(rows, len(graph.state_names), graph.stop_names, graph.switch_names)
 
-    def mode_of(self, row: Vector) -> GraphMode:
-        """Return the mode of an arc by its row of the record."""
-        place, is_held = int(row[binding.ARC_WIDTH - 1]), row[0] == binding.LOCKED
-        key = -1 - place, int(is_held)
-        if key not in self._modes:
-            view = tuple(self._program.views)[place]
-            held = (view.stop,) if is_held else ()
-            self._modes[key] = tuple(sorted((*view.closed, *held))), view.sides
-        return self._modes[key]
+    def starts(self, rows: Vector) -> list[tuple[float, GraphMode]]:
+        """Return start time and mode of arcs by their rows of the record."""
+        found = list[tuple[float, GraphMode]]()
+        views = tuple(self._program.views)
+        for row in rows:
+            view = views[int(row[binding.ARC_WIDTH - 1])]
+            held = (view.stop,) if row[0] == binding.LOCKED else ()
+            found.append((float(row[1]), (tuple(sorted((*view.closed, *held))), view.sides)))
+        return found
 
     def mode_now(self) -> tuple[float, GraphMode, Vector]:
         """Return time, mode and state that the run has reached."""
