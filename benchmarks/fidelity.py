@@ -119,7 +119,7 @@ def measure(problem: Problem, inductances: Sequence[float], n_runs: int) -> list
         for name in (QUASI_STATIC, MANIFOLD, CORRECTED, "full"):
             one = models.get(name, problem)
             dynamics = bind(compiled[name], one.shared(values).vector)
-            cycle = orbit_near(dynamics, near, orbit.period)
+            cycle = orbit_near(one, values, near, orbit.period)
             found[name] = (dynamics, cycle)
             near = cycle.start.state[: len(release)]
         truth = found["full"][1]

@@ -159,6 +159,10 @@ class StepLimitError(SimulationError):
     """The execution needs more steps than it may take."""
 
 
+class UnsettledError(SimulationError):
+    """A motion neither repeats nor ends within its time."""
+
+
 class StepSizeError(SimulationError):
     """The step size fell to rounding level, or the flow is not finite any more."""
 

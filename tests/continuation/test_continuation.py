@@ -33,8 +33,8 @@ from zeno_orbits.model import (
     hybrid_system,
     load_problem,
 )
-from zeno_orbits.orbits import Orbit, poincare_map, release_section
-from zeno_orbits.search import newton_on_return_map, orbit_by_shooting, orbit_of
+from zeno_orbits.orbits import ONE_ZENO, Orbit, poincare_map, release_section
+from zeno_orbits.search import closed_cycle, orbit_by_shooting, orbit_of
 from zeno_orbits.simulation import SimulationSettings, simulate
 
 PENDULUM = load_problem("motor_pendulum")
@@ -152,13 +152,12 @@ def test_the_family_in_the_restitution_ends_where_simulations_stop_closing() -> 
     while high - low > 1e-9:
         middle = (low + high) / 2
         try:
-            closed = newton_on_return_map(
-                pendulum(restitution=middle), x, scale=SCALE, period=1.8, settings=SETTINGS
-            )
+            machine = PENDULUM.graph_dynamics(PENDULUM.values(parameters={"restitution": middle}))
+            cycle = closed_cycle(machine, x, shape=ONE_ZENO, period=1.8, settings=SETTINGS)
         except SimulationError:
             high = middle
         else:
-            low, x = middle, closed.cycle.end.state
+            low, x = middle, cycle.end.state
     # Close to the end a return may fail to be resolved a little early: a lock of 1e-6 s is none.
     assert low - 1e-9 < family.last.at.value < high + 3e-9
 
@@ -310,9 +309,13 @@ def test_an_orbit_of_another_problem_and_one_that_does_not_close_are_refused() -
         family_of_orbit(PENDULUM, oscillator_orbit(), "Kd", (-2.0, 0.0))
     closing = orbit_by_shooting(PENDULUM, PENDULUM.values())
     orbit = closing.unwrap()
-    cycle = newton_on_return_map(
-        pendulum(), np.array(RELEASE), scale=SCALE, period=1.8, settings=SETTINGS
-    ).cycle
+    cycle = closed_cycle(
+        PENDULUM.graph_dynamics(PENDULUM.values()),
+        np.array(RELEASE),
+        shape=ONE_ZENO,
+        period=1.8,
+        settings=SETTINGS,
+    )
     again = orbit_of(cycle, PENDULUM, PENDULUM.values())
     assert again.period == pytest.approx(orbit.period, abs=1e-10)
 

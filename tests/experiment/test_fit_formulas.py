@@ -32,7 +32,7 @@ from zeno_orbits.experiment.orbit_table import measurement
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Orbit
-from zeno_orbits.search import newton_on_return_map, orbit_by_shooting
+from zeno_orbits.search import closed_cycle, orbit_by_shooting
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import silent
 
@@ -236,10 +236,13 @@ def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
     cycle, settings = table.cycle, SimulationSettings()
 
     def closed(values: np.ndarray):
-        dynamics = problem.dynamics(values)
-        return newton_on_return_map(
-            dynamics, cycle.start.state, scale=cycle.scale(), period=cycle.period, settings=settings
-        ).cycle
+        return closed_cycle(
+            problem.graph_dynamics(values),
+            cycle.start.state,
+            shape=cycle.shape,
+            period=cycle.period,
+            settings=settings,
+        )
 
     here = closed(p)
     slope = orbit_slope(

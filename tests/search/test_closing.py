@@ -30,10 +30,11 @@ from zeno_orbits.model import (
     no_drive,
 )
 from zeno_orbits.orbits import (
+    ONE_ZENO,
     EventSequence,
     Orbit,
+    cycle_of,
     orbit_multipliers,
-    poincare_jacobian,
     poincare_map,
     release_section,
     return_derivative,
@@ -41,14 +42,11 @@ from zeno_orbits.orbits import (
 from zeno_orbits.search import (
     OrbitNotClosedError,
     SearchStatus,
-    cycle_near,
-    newton_on_return_map,
     orbit_at_gains,
     orbit_by_shooting,
     search_orbits,
 )
-from zeno_orbits.search.shooting import closing
-from zeno_orbits.search.shooting import fixed_point as closed_cycles
+from zeno_orbits.search import cycles as periods
 from zeno_orbits.simulation import SimulationSettings, Truncation, simulate
 from zeno_orbits.verification import VerificationSettings, verify
 
@@ -275,41 +273,12 @@ def test_the_multiplier_of_a_repelling_orbit_is_that_of_differences(
         return np.transpose(columns)
 
     measured = (4 * slope(2e-5) - slope(4e-5)) / 3
-    assert exact.jacobian == pytest.approx(measured, abs=1e-7)
+    # The two charts may be turned against each other.
+    assert np.poly(exact.jacobian) == pytest.approx(np.poly(measured), abs=1e-7)
     largest = max(np.linalg.eigvals(measured), key=abs)
     assert exact.values[0] == pytest.approx(largest, abs=1e-7)
     assert exact.values[0].real == pytest.approx(2.23, abs=0.01)
     assert exact.error < 1e-9
-
-
-def test_a_step_that_leads_nowhere_is_shortened(
-    problem: Problem, behind_the_fold: Orbit, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls: list[Vector] = []
-
-    def wrong_at_first(*args: object, **named: object) -> Vector:
-        calls.append(poincare_jacobian(*args, **named))  # type: ignore[arg-type]
-        # Steps a hundred times too long lead off every return.
-        return calls[-1] if len(calls) > 1 else np.eye(2) + 0.01 * (calls[-1] - np.eye(2))
-
-    monkeypatch.setattr(closed_cycles, "poincare_jacobian", wrong_at_first)
-    machine = problem.dynamics(behind_the_fold.values(problem))
-    x = np.array(list(behind_the_fold.release_state.values()))
-    x = x + 1e-4 * np.array([1.0, 0.0, 1.0, 0.0, -1.0])
-    period = behind_the_fold.period
-    scale = cycle_near(machine, x, period=period, settings=SETTINGS).scale()
-    closed = newton_on_return_map(machine, x, scale=scale, period=period, settings=SETTINGS)
-    assert closed.cycle.period == pytest.approx(period, rel=1e-10)
-
-
-def test_a_false_slope_is_mended_by_the_returns(machine: HybridDynamics) -> None:
-    x = machine.on_stop(np.add(RELEASE, (1e-3, 0.0, 1e-2, 0.0, -1e-3)))
-    scale = cycle_near(machine, x, period=PERIOD, settings=SETTINGS).scale()
-    false = np.array([[0.5, 0.2], [-0.3, -0.4]])
-    closed = newton_on_return_map(
-        machine, x, scale=scale, period=PERIOD, settings=SETTINGS, slope=false
-    )
-    assert closed.cycle.period == pytest.approx(PERIOD, rel=2e-12)
 
 
 # No orbit.
@@ -326,29 +295,13 @@ def test_a_problem_without_an_orbit_says_why() -> None:
     assert caught.value.result is closed
 
 
-def test_returns_that_never_repeat_are_no_orbit(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(closed_cycles, "_MOST_RETURNS", 1)
-    closed = orbit_by_shooting(problem, problem.values(), simulation=SETTINGS)
-    assert closed.orbit is None
-    assert "No return repeats" in closed.detail
-
-
-def test_a_motion_that_shrinks_to_rest_is_no_orbit(problem: Problem) -> None:
+def test_a_motion_that_shrinks_to_rest_is_no_orbit(problem: Problem, orbit: Orbit) -> None:
     # With so large an inductance all orbits have shrunk: the return map's fixed point is rest.
     values = problem.values(parameters={"L": 10.0})
-    machine = problem.dynamics(values)
-    x = machine.on_stop(np.array([0.198, 0.0, -5.236, 0.0, 0.0]))
-    scale = cycle_near(machine, x, period=PERIOD, settings=SETTINGS).scale()
-    with pytest.raises(SimulationError, match="shrinks to a point"):
-        newton_on_return_map(machine, x, scale=scale, period=PERIOD, settings=SETTINGS)
-
-
-def test_a_start_from_which_nothing_returns_is_refused(machine: HybridDynamics) -> None:
-    x = np.array(RELEASE)
-    with pytest.raises(SimulationError, match="No Zeno point with a later release is reached"):
-        cycle_near(machine, x, period=0.3 * PERIOD, settings=SETTINGS)
+    closed = orbit_by_shooting(problem, values, near=orbit)
+    assert closed.orbit is None
+    assert closed.detail.startswith("The known orbit is lost after")
+    assert orbit_by_shooting(problem, values).orbit is None
 
 
 def test_an_orbit_of_another_problem_is_no_start(orbit: Orbit) -> None:
@@ -368,7 +321,7 @@ def test_stages_are_told(problem: Problem) -> None:
         simulation=SETTINGS,
         on_progress=lambda stage, _: told.append(stage),
     )
-    assert told == ["simulating", "closing the orbit"]
+    assert told == ["settling"]
 
 
 def test_cuts_from_the_last_common_impact_are_the_cuts_from_the_release(
@@ -377,7 +330,7 @@ def test_cuts_from_the_last_common_impact_are_the_cuts_from_the_release(
     machine = problem.dynamics(orbit.values(problem))
     seen = verify(orbit, problem, settings=VerificationSettings(n_periods=1))
     release = machine.on_stop(np.array(RELEASE))
-    whole = cycle_near(machine, release, period=PERIOD, settings=SETTINGS)
+    whole = cycle_of(machine, release, ONE_ZENO, horizon=2 * PERIOD, settings=SETTINGS)
     when = (whole.zeno.time + whole.end.time) / 2
     truth = whole.locked.state_at(when)
     assert len(seen.delta_sweep) == 4
@@ -393,7 +346,8 @@ def test_cuts_from_the_last_common_impact_are_the_cuts_from_the_release(
 def test_a_state_that_vanishes_at_the_events_is_not_sized_by_rounding(
     machine: HybridDynamics,
 ) -> None:
-    cycle = cycle_near(machine, np.array(RELEASE), period=PERIOD, settings=SETTINGS)
+    release = machine.on_stop(np.array(RELEASE))
+    cycle = cycle_of(machine, release, ONE_ZENO, horizon=2 * PERIOD, settings=SETTINGS)
     at_events, full = cycle.scale_at_events(), cycle.scale()
     # The gap theta2 is zero at every event.
     assert at_events[1] == np.max(at_events)
@@ -435,11 +389,14 @@ def test_a_period_goes_beyond_an_escape_on_either_side_and_on_any_arc(problem: P
         flows = [np.array([[one, other, 99.0], [0.0, 0.0, 99.0]]) for one, other in places]
         return SimpleNamespace(arcs=[SimpleNamespace(flow_states=flow) for flow in flows])
 
-    assert closing.escape_of(strict, of((2.0, 3.0), (-2.0, -3.0))) == ""
-    first = closing.escape_of(strict, of((0.0, -3.25), (2.5, 0.0)))
-    assert first == "It falls off: `theta2` reaches 3.25, beyond 3."
-    second = closing.escape_of(strict, of((2.5, 3.0), (0.0, 0.0)))
-    assert second == "It swings: `theta1` reaches 2.5, beyond 2."
+    def beyond(*places: tuple[float, float]) -> str:
+        return periods.beyond_limits(strict, of(*places).arcs)
+
+    assert beyond((2.0, 3.0), (-2.0, -3.0)) == ""
+    first = beyond((0.0, -3.25), (2.5, 0.0))
+    assert first == "It falls off: `theta2` reaches 3.25, beyond 3"
+    second = beyond((2.5, 3.0), (0.0, 0.0))
+    assert second == "It swings: `theta1` reaches 2.5, beyond 2"
 
 
 def test_an_orbit_of_a_period_counts_its_times_from_its_start(problem: Problem) -> None:
@@ -455,7 +412,7 @@ def test_an_orbit_of_a_period_counts_its_times_from_its_start(problem: Problem) 
     cycle: Any = SimpleNamespace(
         start=SimpleNamespace(time=10.0), period=4.0, phases=(phase(0, None), phase(1, held))
     )
-    orbit = closing.orbit_of(cycle, problem, problem.values(gains={"Kp": 3.0}))
+    orbit = periods.orbit_of(cycle, problem, problem.values(gains={"Kp": 3.0}))
     one, two = orbit.phases
     assert (orbit.period, orbit.shape, orbit.gains["Kp"]) == (4.0, shape, 3.0)
     assert (one.start_time, two.start_time) == (0.0, 1.0)

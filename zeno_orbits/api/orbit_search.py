@@ -181,26 +181,24 @@ def find_event_orbit(
     near: Orbit | str | Path | None = None,
     start: Numbers | None = None,
     section: str | None = None,
+    shape: EventSequence | None = None,
     until: float | None = None,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
 ) -> Orbit:
-    """Find and verify the orbit to which a machine settles, as a list of events.
+    """Find the orbit to which a machine settles, and verify it.
 
-    It is for machines with several stops or switches. The stop of a machine with one stop is named
-    `stop`.
+    It is `find_orbit_by_shooting` and `verify` in one call.
 
     Args:
         problem: The problem, its name or its file.
         gains: Gains that differ from their defaults.
         parameters: Parameters that differ from their defaults.
-        near: A known orbit of events to start from, or its file. Its gains and parameters replace
-            the defaults, and no motion has to settle.
-        start: State name to initial value of the simulation. The default is each of the problem's
-            starts.
-        section: Name of the event at which the period starts and ends, such as ``zeno knee`` or
-            ``switch heel strike``. The default is chosen by the program.
-        until: Longest time to settle [s].
+        near: As for `find_orbit_by_shooting`.
+        start: As for `find_orbit_by_shooting`.
+        section: As for `find_orbit_by_shooting`.
+        shape: As for `find_orbit_by_shooting`.
+        until: As for `find_orbit_by_shooting`.
         settings: Integrator and accuracy.
         on_progress: Called with the stage and the part of it that is done.
 
@@ -222,6 +220,7 @@ def find_event_orbit(
         near=begin,
         start=start,
         section=section,
+        shape=shape,
         until=until,
         simulation=settings,
         on_progress=on_progress,
@@ -325,41 +324,49 @@ def find_orbit_by_shooting(
     *,
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
-    start: Numbers | None = None,
     near: Orbit | str | Path | None = None,
+    start: Numbers | None = None,
+    section: str | None = None,
     shape: EventSequence | None = None,
+    until: float | None = None,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
 ) -> ShootingResult:
-    """Return the orbit that a simulation reaches: faster than `find_orbit`, but not verified.
+    """Return the orbit to which a machine settles: faster than `find_orbit`, but not verified.
 
     Args:
         problem: The problem, its name or its file.
         gains: Gains that differ from their defaults.
         parameters: Parameters that differ from their defaults.
+        near: A known orbit to start from, or its file. Its gains and parameters replace the
+            defaults, and no motion has to settle.
         start: State name to initial value of the simulation. The default is each of the problem's
             starts.
-        near: A known orbit to start from, or its file.
-        shape: Mode sequence of the orbit. The default is the sequence that the simulation reaches.
+        section: Name of the event at which the period starts and ends, such as ``zeno knee`` or
+            ``switch heel strike``. The default is chosen by the program.
+        shape: Mode sequence of the orbit of a machine with the stop `stop`. The default is the
+            sequence that the simulation reaches.
+        until: Longest time to settle [s].
         settings: Integrator and accuracy.
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:
-        InputError: If a name is unknown or a value is out of range.
+        InputError: If a name is unknown, a value is out of range, or the section does not occur.
     """
-    from zeno_orbits.search.shooting import closing
+    from zeno_orbits.search import orbit_by_shooting
 
-    known = _with_one_stop(known_problem(problem))
-    if start is not None:
-        known.state_vector(start)
-        known = replace(known, starts=(dict(start),))
-    return closing.orbit_by_shooting(
+    known = known_problem(problem)
+    begin = None if near is None else _near_events(near, known)
+    return orbit_by_shooting(
         known,
-        known.values(gains=gains, parameters=parameters),
-        near=as_orbit(near) if near is not None else None,
+        start_values(known, near=begin, gains=gains, parameters=parameters),
+        near=begin,
+        start=start,
+        section=section,
+        shape=shape,
+        until=until,
         simulation=settings,
         on_progress=on_progress,
-        shape=shape,
     )
 
 
@@ -402,7 +409,7 @@ def _with_one_stop(problem: Problem) -> Problem:
     if problem.has_graph:
         raise InputError(
             f"Argument `problem`: `{problem.name}` has {problem.modes_reason}: use "
-            "`find_event_orbit` or `search_event_gains`."
+            "`find_orbit_by_shooting` or `search_event_gains`."
         )
     return problem
 

@@ -22,8 +22,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.sequences import OrbitSequence, orbit_sequences
 from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model import Columns, GraphDynamics, HybridDynamics, Problem, dense_function
-from zeno_orbits.orbits import Cycle, Orbit
-from zeno_orbits.search import cycle_near
+from zeno_orbits.orbits import Cycle, Orbit, cycle_of
 from zeno_orbits.simulation import (
     Arc,
     Ending,
@@ -377,8 +376,8 @@ def tabulate_orbit(orbit: Orbit, problem: Problem, names: Sequence[str]) -> Orbi
     p = np.asarray(orbit.values(problem).vector, dtype=np.float64)
     dynamics = problem.dynamics(p)
     release = dynamics.on_stop(np.array(problem.state_vector(orbit.release_state)))
-    settings = SimulationSettings()
-    cycle = cycle_near(dynamics, release, period=orbit.period, settings=settings)
+    horizon, settings = 2 * orbit.period, SimulationSettings()
+    cycle = cycle_of(dynamics, release, orbit.shape, horizon=horizon, settings=settings)
     return tabulated(dynamics, cycle, measurement(problem, names), p)
 
 

@@ -33,6 +33,8 @@ from .sequences import lasting_events as lasting_events
 from .sequences import orbit_event_name as orbit_event_name
 from .sequences import phases_of_events as phases_of_events
 from .sequences import sequence_of as sequence_of
+from .sequences import shape_of_events as shape_of_events
+from .sequences import events_of_shape as events_of_shape
 from .events.quantities import EventQuantities as EventQuantities
 from .events.quantities import PERIOD as PERIOD
 from .events.quantities import Reading as Reading

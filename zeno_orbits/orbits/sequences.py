@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from zeno_orbits.orbits.shape import NO_ZENO_ORBIT, SIMPLE_ORBIT, ZENO_ORBIT
+from zeno_orbits.errors import InputError
+from zeno_orbits.orbits.shape import (
+    NO_ZENO_ORBIT,
+    SIMPLE_ORBIT,
+    ZENO_ORBIT,
+    EventSequence,
+    PhaseKind,
+)
 from zeno_orbits.simulation import Event, Release, SwitchEvent
 
 
@@ -21,6 +28,43 @@ def kind_of_events(events: Sequence[tuple[str, float]]) -> str:
         return NO_ZENO_ORBIT
     plastic = all((f"impact {stop}", time) in events for stop, time in zenos)
     return SIMPLE_ORBIT if plastic else ZENO_ORBIT
+
+
+def shape_of_events(events: Sequence[tuple[str, float]]) -> EventSequence | None:
+    """Return the phases that the events of a period form, or ``None`` if they form none.
+
+    Args:
+        events: Name and time of each event of a period of one stop named `stop`, in order.
+    """
+    names, kinds = [name for name, _ in events], list[PhaseKind]()
+    phases = phases_of_events(names)
+    while phases:
+        phase, *phases = phases
+        if names[phase[-1]] == "impact stop":
+            kinds.append(PhaseKind.IMPACT)
+        elif phases and [names[phase[-1]], names[phases[0][-1]]] == ["zeno stop", "release stop"]:
+            phases = phases[1:]
+            plastic = len(phase) == 2 and len({events[k][1] for k in phase}) == 1
+            kinds.append(PhaseKind.PLASTIC if plastic else PhaseKind.ZENO)
+        else:
+            return None
+    try:
+        return EventSequence(phases=tuple(kinds))
+    except InputError:
+        return None
+
+
+def events_of_shape(shape: EventSequence) -> tuple[str, ...]:
+    """Return the event sequence of the phases of one stop named `stop`.
+
+    Args:
+        shape: The phases.
+    """
+    return tuple(
+        name
+        for kind in shape.phases
+        for name in (("zeno stop", "release stop") if kind.holds else ("impact stop",))
+    )
 
 
 def sequence_of(names: Sequence[str]) -> tuple[str, ...]:

@@ -15,8 +15,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
-from zeno_orbits.orbits import ONE_ZENO, Cycle, poincare_jacobian, release_section
-from zeno_orbits.search import cycle_near, newton_on_return_map, orbit_at_gains
+from zeno_orbits.orbits import ONE_ZENO, Cycle
+from zeno_orbits.search import closed_cycle, orbit_at_gains
 from zeno_orbits.simulation import SimulationSettings
 
 QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
@@ -99,9 +99,9 @@ def errors_of_reduced_models(
     period = orbit.period
     release = np.array(quasi_static.state_vector(orbit.release_state))
     machine, full = _dynamics(quasi_static, values), _dynamics(problem, values)
-    static = orbit_near(machine, release, period)
-    better = orbit_near(_dynamics(reduced[CORRECTED], values), static.start.state, period)
-    truth = orbit_near(full, better.start.state, period) if measure else None
+    static = orbit_near(quasi_static, values, release, period)
+    better = orbit_near(reduced[CORRECTED], values, static.start.state, period)
+    truth = orbit_near(problem, values, better.start.state, period) if measure else None
     layer, rate = layer_time(full, release), _rate(machine, static)
     first = landmark_errors(static, better)
     second = {name: error * layer * rate for name, error in first.items()}
@@ -122,31 +122,24 @@ def errors_of_reduced_models(
     }
 
 
-def orbit_near(dynamics: HybridDynamics, release: Vector, period: float) -> Cycle:
-    """Return the periodic orbit of a system near a release state of another fidelity.
+def orbit_near(problem: Problem, values: ParameterValues, release: Vector, period: float) -> Cycle:
+    """Return the periodic orbit of a problem near a release state of another fidelity.
 
-    It uses Newton's method on the return map, whose derivative is computed once. Currents that the
-    other fidelity does not have start at rest, with zero rate.
+    Currents that the other fidelity does not have start at rest, with zero rate.
 
     Args:
-        dynamics: The system.
+        problem: The problem.
+        values: Parameter values of any fidelity.
         release: Release state of the other fidelity, the first entries of ``x``.
         period: Period of the other fidelity's orbit [s].
 
     Raises:
         SimulationError: If an orbit does not exist nearby.
     """
-    settings = SimulationSettings()
-    x = dynamics.on_stop(np.concatenate([release, _resting_current(dynamics, release)]))
+    graph = problem.graph_dynamics(problem.shared(values))
+    x = np.concatenate([release, _resting_current(graph.first, release)])
     try:
-        scale = cycle_near(dynamics, x, period=period, settings=settings).scale()
-        section = release_section(dynamics, x, scale)
-        x = section.state(dynamics, np.zeros(section.dimension))
-        # Far from the orbit, successive returns alone may diverge. Newton's method stays nearby.
-        slope = poincare_jacobian(dynamics, x, scale=scale, period=period, settings=settings)
-        return newton_on_return_map(
-            dynamics, x, scale=scale, period=period, settings=settings, slope=slope
-        ).cycle
+        return closed_cycle(graph, x, shape=ONE_ZENO, period=period, settings=SimulationSettings())
     except SimulationError as error:
         raise SimulationError(
             f"The reduced model lacks an orbit near the orbit of the full model: {error.reason}",

@@ -1,11 +1,11 @@
 """Find orbits and gains: guess by simulation, transcribe, solve, confirm by simulation, rank.
 
 A nonlinear program is solved from a sequence of starts. Each solution is simulated and passed to a
-check. `orbit_by_shooting` closes an orbit by simulation alone.
+check. `orbit_by_shooting` closes an orbit of any machine by simulation alone.
 
 Offers: `orbit_at_gains` and `search_orbits` (with `SearchSettings`, a `SearchResult` of `Candidate`
-orbits, `Verdict` for checks, `StartWorkers`), `orbit_by_shooting`, `newton_on_return_map` and
-`newton_from_cycle`, and the objectives: `NearestGains`, `TargetPeriod`, `TargetAmplitude`,
+orbits, `Verdict` for checks, `StartWorkers`), `orbit_by_shooting` and `settled_return`, and the
+objectives: `NearestGains`, `TargetPeriod`, `TargetAmplitude`,
 `MinEnergy`, `MinPeak`, `MinSpectralRadius`, `MaxMargin`, `MaxPush`.
 
 Imports: maps, verification, orbits, simulation, model, integrators, work, arrays, errors.

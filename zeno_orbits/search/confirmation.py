@@ -29,11 +29,11 @@ from zeno_orbits.orbits import (
     place_on_section,
     round_again,
 )
+from zeno_orbits.search.cycles import beyond_limits, named
 from zeno_orbits.search.objectives import Objective, Target
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.shooting.closing import escape_of, named
 from zeno_orbits.search.transcription.transcribe import labels_of, start_block
 from zeno_orbits.simulation import (
     Extent,
@@ -76,7 +76,8 @@ def confirm(
     if isinstance(objective, Target):
         differs = max(differs, objective.miss(cycle))
     excesses = _excesses(search, values, cycle)
-    detail = round_again(cycle) or escape_of(search.problem, cycle)
+    beyond = beyond_limits(search.problem, cycle.arcs)
+    detail = round_again(cycle) or (f"{beyond}." if beyond else "")
     if not detail and differs > search.settings.agreement:
         detail = f"Solution and simulation differ by {differs:.1e}."
     elif not detail and excesses:

@@ -16,6 +16,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.integrators import Tolerance
 from zeno_orbits.maps import Accuracy, Attractor, AttractorClass, attractors_at
 from zeno_orbits.model import ParameterValues, Problem, own_time
 from zeno_orbits.orbits import (
@@ -26,11 +27,10 @@ from zeno_orbits.orbits import (
     objection_to,
     place_on_section,
 )
+from zeno_orbits.search.cycles import orbit_of
 from zeno_orbits.search.objectives import Target, TargetPeriod
 from zeno_orbits.search.search_problem import SearchProblem, clipped
-from zeno_orbits.search.shooting.closing import orbit_of
-from zeno_orbits.search.shooting.guess import TransientSettings
-from zeno_orbits.simulation import Extent, simulate
+from zeno_orbits.simulation import Extent, SimulationSettings, ZenoExtrapolation, simulate
 from zeno_orbits.verification import measure
 
 _PLACES = 24
@@ -40,6 +40,12 @@ ACCURACY = Accuracy(motion=1e-6, orbit=1e-8, near=0.05, exact=1e-3, repeats=1e-4
 """Three digits are sufficient for the choice of starts."""
 _ARRIVED = 1e-3
 """Part of the period after its end in which the last impact of an orbit may occur."""
+
+_LOOSE = SimulationSettings(
+    tolerance=Tolerance(relative=1e-8, absolute=1e-10),
+    completion=ZenoExtrapolation(tolerance=1e-11),
+)
+"""Accuracy of a period that is only ranked."""
 
 PHASE = {
     AttractorClass.ZENO: PhaseKind.ZENO,
@@ -236,8 +242,7 @@ def _scored(search: SearchProblem, values: ParameterValues, attractor: Attractor
     cycle = cycle_at(search, values, attractor) if missing or target is not None else None
     if cycle is not None and missing:
         orbit = orbit_of(cycle, search.problem, values)
-        simulation = TransientSettings().simulation
-        extents |= measure(orbit, search.problem, missing, simulation=simulation)
+        extents |= measure(orbit, search.problem, missing, simulation=_LOOSE)
     score = 0.0
     if target is not None and cycle is not None:
         score = target.miss(cycle)
@@ -257,15 +262,15 @@ def cycle_at(search: SearchProblem, values: ParameterValues, attractor: Attracto
     Raises:
         ZenoOrbitsError: If its motion cannot be simulated for a period.
     """
-    dynamics, settings = search.dynamics(values), TransientSettings().simulation
+    dynamics = search.dynamics(values)
     state = np.array(search.problem.state_vector(attractor.state))
     n = attractor.returns
     if n == 0:
         until = (1 + _ARRIVED) * attractor.period
-        n = len(simulate(dynamics, state, until=until, settings=settings).impacts)
+        n = len(simulate(dynamics, state, until=until, settings=_LOOSE).impacts)
     shape = EventSequence(phases=n * (PHASE[attractor.fate],))
     start = place_on_section(dynamics, shape, state)
-    return cycle_of(dynamics, start, shape, horizon=2 * attractor.period, settings=settings)
+    return cycle_of(dynamics, start, shape, horizon=2 * attractor.period, settings=_LOOSE)
 
 
 def _is_valley(k: int, orbits: Sequence[int], unit: Vector, ranks: Sequence[_Rank]) -> bool:

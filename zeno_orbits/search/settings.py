@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from zeno_orbits.search.shooting.guess import TransientSettings
+from zeno_orbits.errors import InputError, any_number
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.ipopt import IpoptSettings
-from zeno_orbits.work import Checked
+from zeno_orbits.work import Checked, require_kinds
 
 
 class SearchStatus(Enum):
@@ -23,6 +24,25 @@ class SearchStatus(Enum):
 
 _BY_ITERATIONS = IpoptSettings(most_iterations=60, most_seconds=1e9)
 """Limit of iterations. A time limit would make the result depend on the load of the machine."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TransientSettings:
+    """Limits of the simulation of a motion until it repeats.
+
+    Attributes:
+        horizon: Longest simulated time from one start [s]. The default is 400 of the problem's
+            slowest oscillations, or longer for a motion whose returns converge.
+    """
+
+    horizon: float | None = None
+
+    def __post_init__(self) -> None:
+        """Reject a time limit that is not positive."""
+        require_kinds(self)
+        if self.horizon is not None and not 0.0 < any_number("until", self.horizon) < math.inf:
+            wanted = "must be a finite, positive number of seconds"
+            raise InputError(f"Argument `until` {wanted}, but it is {self.horizon:g}.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

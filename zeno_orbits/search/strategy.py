@@ -6,18 +6,21 @@ the bounds.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
-from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model import HybridDynamics, ParameterValues
+from zeno_orbits.errors import SimulationError, UnsettledError, ZenoOrbitsError
+from zeno_orbits.model import ParameterValues
 from zeno_orbits.orbits import (
     Cycle,
     Orbit,
-    minimal_period,
+    orbit_event_name,
     relaxed_tolerance,
     round_again,
+    shape_of_events,
 )
-from zeno_orbits.search.confirmation import one_cycle
+from zeno_orbits.search.closing import settled_return
+from zeno_orbits.search.cycles import beyond_limits, closed_cycle, cycle_of_return, orbit_of
 from zeno_orbits.search.homotopy.best_on_line import all_kept, best_on_the_way, kept_and_exceeded
 from zeno_orbits.search.homotopy.homotopy import follow
 from zeno_orbits.search.homotopy.line import Followed
@@ -34,19 +37,33 @@ from zeno_orbits.search.refinement import (
 )
 from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.shooting.closing import escape_of, orbit_of
-from zeno_orbits.search.shooting.fixed_point import newton_from_cycle
-from zeno_orbits.search.shooting.guess import FollowedMotion, run_to_attractor
 from zeno_orbits.search.strength import Strength, strongest
 from zeno_orbits.search.trust_region import LastStep, trust_region_steps
 from zeno_orbits.simulation import SimulationSettings
 
-_NOT_FOLLOWED = FollowedMotion(cycle=None, reason="no orbit is near")
 _AT_BOUND = 0.02
 """Distance below which a value is at its bound, in units of its range."""
 
 _VIOLATED = 1e-5
 """Relative violation above which a bound cannot be satisfied."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FollowedMotion:
+    """Result of the simulation of a motion until it settles.
+
+    Attributes:
+        cycle: The period to which it settles, if there is one.
+        reason: Reason of a missing period, as a clause. Empty with a period.
+        undecided: True if the motion had not settled at its time limit.
+    """
+
+    cycle: Cycle | None
+    reason: str = ""
+    undecided: bool = False
+
+
+_NOT_FOLLOWED = FollowedMotion(cycle=None, reason="no orbit is near")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,40 +120,29 @@ def beside(search: SearchProblem, start: SearchStart, solution: SimulatedSolutio
 
 
 def simulated(search: SearchProblem, values: ParameterValues) -> FollowedMotion:
-    """Return a period to which the problem converges, or the reason of a failure."""
-    dynamics = search.dynamics(values)
-    settling = run_to_attractor(
-        dynamics, search.starts_at(values), search.settings.settling, search.shape, search.problem
-    )
-    cycle = settling.cycle
-    if cycle is None:
-        return settling
-    if search.shape is not None or not cycle.shape.has_one_release:
-        return _brought_nearer(search, dynamics, cycle)
-    # The mesh would resolve the noise of the loose simulation, and one period is cheap.
-    again = one_cycle(dynamics, cycle.start.state, 2 * cycle.period, cycle.shape)
-    return FollowedMotion(cycle=again or cycle)
-
-
-def _brought_nearer(
-    search: SearchProblem, dynamics: HybridDynamics, cycle: Cycle
-) -> FollowedMotion:
-    """Return the orbit near a period by simulation, if it closes. The period may be inaccurate.
-
-    A motion that converges slowly with alternating sign appears to repeat after two periods.
-    """
+    """Return the period to which the problem settles, or the reason of a failure."""
+    problem, settings = search.problem, SimulationSettings()
     try:
-        near = newton_from_cycle(dynamics, cycle, SimulationSettings()).cycle
-    except ZenoOrbitsError:
-        return FollowedMotion(cycle=cycle)
-    shorter = minimal_period(near)
-    if shorter is None:
-        return FollowedMotion(cycle=near)
-    if search.shape is not None:
-        sentence = round_again(near).removesuffix(".")
-        return FollowedMotion(cycle=None, reason=sentence[0].lower() + sentence[1:])
-    again = one_cycle(dynamics, near.start.state, near.period, shorter)
-    return FollowedMotion(cycle=again or near)
+        found = settled_return(
+            problem,
+            values,
+            starts=search.initial_states,
+            shape=search.shape,
+            until=search.settings.settling.horizon,
+        )
+        listed = [(orbit_event_name(event), event.time) for event in found.events]
+        shape = search.shape or shape_of_events(listed)
+        if shape is None:
+            sequence = ", ".join(name for name, _ in listed)
+            return FollowedMotion(cycle=None, reason=f"the motion has the events `{sequence}`")
+        cycle = cycle_of_return(problem.graph_dynamics(values), found, shape, settings)
+    except SimulationError as error:
+        # What to do about it depends on the search.
+        clause = re.split(": (?:start|simulate) ", error.reason)[0]
+        undecided = isinstance(error, UnsettledError)
+        reason = f"{clause[0].lower()}{clause[1:]}"
+        return FollowedMotion(cycle=None, reason=reason, undecided=undecided)
+    return FollowedMotion(cycle=cycle)
 
 
 def _closed(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> StartOutcome | None:
@@ -148,17 +154,22 @@ def _closed(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> Sta
     if isinstance(search.objective, Target):
         return None
     try:
-        closed = newton_from_cycle(search.dynamics(values), cycle, _FINEST)
+        found = closed_cycle(
+            search.problem.graph_dynamics(values),
+            cycle.start.state,
+            shape=cycle.shape,
+            period=cycle.period,
+            settings=_FINEST,
+        )
     except ZenoOrbitsError:
         return None
-    found = closed.cycle
-    if round_again(found) or escape_of(search.problem, found):
+    if round_again(found) or beyond_limits(search.problem, found.arcs):
         return None
     orbit = orbit_of(found, search.problem, values)
     return StartOutcome(
         status=SearchStatus.FOUND,
         detail=_BY_ITSELF,
-        agreement=closed.miss,
+        agreement=found.drift(found.scale_at_events()),
         solution=SimulatedSolution(
             values=values, cycle=found, unknowns={}, orbit=orbit, excesses={}
         ),

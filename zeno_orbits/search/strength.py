@@ -24,11 +24,11 @@ from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.maps import Push, PushSettings, least_push
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Cycle, Orbit, excess
+from zeno_orbits.search.cycles import orbit_of
 from zeno_orbits.search.homotopy.best_on_line import all_kept, bounded_extents
 from zeno_orbits.search.homotopy.homotopy import follow
 from zeno_orbits.search.objectives import MaxPush
 from zeno_orbits.search.search_problem import SearchProblem, listed
-from zeno_orbits.search.shooting.closing import orbit_of
 from zeno_orbits.simulation import Extent
 
 _PUSHES = PushSettings(phases=6, steps=24, error=1e-3)

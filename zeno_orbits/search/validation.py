@@ -19,7 +19,7 @@ from zeno_orbits.search.objectives import (
     TargetPeriod,
 )
 from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.search.shooting.guess import run_to_attractor
+from zeno_orbits.search.strategy import simulated
 from zeno_orbits.simulation import steady_turn
 from zeno_orbits.verification import require_quantities
 
@@ -139,7 +139,7 @@ def _check_multipliers(search: SearchProblem) -> None:
     if len(start) - dynamics.holonomic(start).size > len(RELEASE_ROWS):
         return
     if shape is None:
-        cycle = run_to_attractor(dynamics, [start], problem=search.problem).cycle
+        cycle = simulated(search, search.values).cycle
         shape = None if cycle is None else cycle.shape
     if shape is not None and shape.starts_at_release:
         option = "bounds" if bounded else "objective"

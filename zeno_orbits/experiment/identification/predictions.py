@@ -18,7 +18,7 @@ from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.orbit_table import Measurement, OrbitTable, PeriodTable, tabulated
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Cycle
-from zeno_orbits.search import newton_on_return_map
+from zeno_orbits.search import closed_cycle
 from zeno_orbits.simulation import SimulationSettings
 
 _KEPT = 64
@@ -206,22 +206,16 @@ class Predictions(OrbitPredictions[OrbitTable]):
 
     def _tabulated(self, key: bytes) -> OrbitTable:
         near, p = self._near, np.frombuffer(key)
-        dynamics = self._problem.dynamics(p)
-        state, clock = near.start.state.copy(), list(self._problem.compiled().clock)
-        if clock:
-            # Closing many orbits one from another lets the clock drift off its circle.
-            state[clock] /= np.linalg.norm(state[clock])
-        closed = newton_on_return_map(
-            dynamics,
-            dynamics.on_stop(state),
-            scale=near.scale_at_events(),
+        cycle = closed_cycle(
+            self._problem.graph_dynamics(p),
+            near.start.state,
+            shape=near.shape,
             period=near.period,
             settings=self._settings,
-            shape=near.shape,
         )
-        if len(closed.cycle.impacts) > self._most:
+        if len(cycle.impacts) > self._most:
             raise SimulationError("Too many impacts per period", time=0.0, state=())
-        return tabulated(dynamics, closed.cycle, self._measured, p)
+        return tabulated(self._problem.dynamics(p), cycle, self._measured, p)
 
     def _differentiated(self, key: bytes) -> OrbitSlope:
         table = self._tables(key)

@@ -17,7 +17,7 @@ from statistics import linear_regression
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import InputError, SimulationError, UnsettledError
 from zeno_orbits.model import GraphDynamics, require_zeno_points
 from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.monodromy import differentials_of
@@ -66,10 +66,14 @@ _ROUNDED = 1e-9
 """Relative correction below which Newton's method ends at a correction that is not smaller."""
 _SPACINGS = 4.0
 """Roundings of the times of a period that add up: of two switches, by the clock and by the root."""
-_SHRINKS = 0.1
-"""Largest ratio of successive corrections with which a derivative serves again."""
+_SHRINKS, _HALVES = 0.1, 0.5
+"""Largest ratios of successive corrections with which a derivative serves again, and one that was
+estimated from returns alone."""
 _NEAR = 0.05
 """Relative distance of two states after events, below which a motion nearly repeats."""
+_THERE, _ANY = 1e-4, 1.0
+"""Distance below which an early return counts although the motion does not come nearer, and largest
+distance of a return with a given event sequence."""
 _MOST_RETURNS = 200
 _NEARER, _SETTLED = 10.0, 1e-6
 """A motion repeats after the fewest returns whose distance is at most this many times the smallest,
@@ -197,6 +201,11 @@ class EventReturn:
     def opened(self) -> tuple[Release, ...]:
         """Releases that the last event causes, at the start of the next return."""
         return caused_releases(self.execution.events, len(self.events) - 1)
+
+    @property
+    def arcs(self) -> tuple[Arc, ...]:
+        """Arcs of the return."""
+        return tuple(arc for arc in self.execution.arcs if arc.end_time <= self.period)
 
     @property
     def by_state(self) -> Vector:
@@ -390,8 +399,14 @@ def on_section(graph: GraphDynamics, x: Vector, mode: SectionMode) -> Vector:
     if mode.stop:
         stop, n_q = graph.stop_names.index(mode.stop), graph.n_q
         view = graph.view((closed, sides), stop)
-        x = x.copy()
-        x[:n_q] -= view.gap(x) * view.impulse_direction(x)[n_q : 2 * n_q]
+        for _ in range(_CORRECTIONS):
+            moved = view.gap(x) * view.impulse_direction(x)[n_q : 2 * n_q]
+            x = x.copy()
+            x[:n_q] -= moved
+            if not np.any(np.abs(view.holonomic(x)) > _ON):
+                break
+            # The direction is only tangent to the constraints.
+            x = _on_constraints(graph, x)
     return x
 
 
@@ -528,8 +543,14 @@ def closed_return(
     mode: SectionMode | None = None,
     is_near: bool = False,
     exact: float = 10.0 * _EXACT,
+    is_settled: bool = False,
 ) -> EventReturn:
-    """Return the periodic orbit near a start, by Newton's method.
+    r"""Return the periodic orbit near a start, by Newton's method.
+
+    With the residual :math:`r = P(x) - x`, a step is :math:`s = H r`, and :math:`H` approximates
+    :math:`(1 - P')^{-1}`. After a step, :math:`y = r_k - r_{k+1}` improves it by a rank-one update,
+    :math:`H \leftarrow H + (s - H y)\, s^\top H / (s^\top H y)` [Broyden1965]_. Where the
+    corrections do not shrink, :math:`H` is computed from the exact derivative.
 
     Args:
         graph: The graph of modes.
@@ -544,12 +565,16 @@ def closed_return(
         is_near: Whether the start is near the orbit, so that every correction is smaller than the
             one before. The first one that is not ends the search.
         exact: Relative correction of an orbit. Newton's method ends at a tenth of it.
+        is_settled: Whether a motion has come to the start by itself, so that returns alone lead on.
+            The first :math:`H` is then the identity, which costs no derivative.
 
     Raises:
         SimulationError: If Newton's method does not converge, or the motion does not return.
     """
     best, best_size, size = None, math.inf, math.inf
-    inverse: Vector | None = None
+    last: EventReturn | None = None
+    inverse = np.eye(x.size) if is_settled else None
+    limit = _HALVES
     returned = partial(event_return, graph, section=section, n_returns=n_returns, settings=settings)
     for _ in range(_MOST_ITERATIONS):
         found = returned(x, guess=guess, parameters=parameters, mode=mode)
@@ -560,12 +585,17 @@ def closed_return(
                 continue
         scale, guess, before = largest_states(found.execution.arcs, graph), found.period, size
         off = found.end - found.start
+        if inverse is not None and last is not None and before > _ROUNDED:
+            inverse = _improved(inverse, last, found, scale)
         change = None if inverse is None else inverse @ off
-        if change is None or not np.max(np.abs(change) / scale) < _SHRINKS * before:
+        if change is None or not np.max(np.abs(change) / scale) < limit * before:
             # A return without derivatives is much cheaper, so a derivative serves while it can.
-            inverse = inverse_of_closing(graph, found)
+            if limit > _SHRINKS:
+                # A wrong estimate says nothing about how near the orbit is.
+                best, best_size, before = None, math.inf, math.inf
+            inverse, limit = inverse_of_closing(graph, found), _SHRINKS
             change = inverse @ off
-        size = float(np.max(np.abs(change) / scale))
+        size, last = float(np.max(np.abs(change) / scale)), found
         if size < best_size:
             best, best_size = found, size
         elif best_size < _ROUNDED:
@@ -587,6 +617,17 @@ def closed_return(
             state=tuple(x.tolist()),
         )
     return best
+
+
+def _improved(inverse: Vector, before: EventReturn, after: EventReturn, scale: Vector) -> Vector:
+    """Return the inverse of a closing after the rank-one update of a step between two returns."""
+    step = after.start - before.start
+    told = before.end - before.start - (after.end - after.start)
+    row = (step / scale**2) @ inverse
+    length = float(row @ told)
+    if length == 0.0:
+        return inverse
+    return inverse + np.outer(step - inverse @ told, row) / length
 
 
 def shortest_return(
@@ -748,7 +789,14 @@ class NearReturn:
     period: float
 
 
-def near_return(execution: Execution, graph: GraphDynamics, section: str | None) -> NearReturn:
+def near_return(
+    execution: Execution,
+    graph: GraphDynamics,
+    section: str | None,
+    *,
+    within: float = _NEAR,
+    sequence: Sequence[str] | None = None,
+) -> NearReturn:
     """Return the last state of an execution to which it nearly returns.
 
     Args:
@@ -756,6 +804,10 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
         graph: The graph of modes.
         section: Name of the event of the section. The default is the first of a declared switch, a
             release and an impact that occurs often enough in the second half of the execution.
+        within: Largest relative distance of the two states. Below the default the motion also has
+            to come nearer from return to return, unless it is as near as rounding of the start.
+        sequence: Event sequence that the return must have, which ends with the section. Its nearest
+            return then need not be the last one. The default is any sequence.
 
     Raises:
         InputError: If the event of the section does not occur, belongs to impacts that accumulate,
@@ -771,12 +823,14 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
         )
     names = [orbit_event_name(event) for event in execution.events]
     if not names:
-        raise SimulationError(
+        raise UnsettledError(
             "The motion strikes no stop and passes no switch: simulate for longer (`until`), or "
             "start elsewhere (`start`)",
             time=execution.end_time,
             state=tuple(execution.end_state.tolist()),
         )
+    if sequence is not None:
+        return _nearest_of_sequence(execution, graph, names, tuple(sequence))
     if section is not None and section not in names:
         kind, _, stop = section.partition(" ")
         if kind == "zeno" and stop in graph.stop_names:
@@ -797,7 +851,9 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
     scale = largest_states(execution.arcs, graph)
     lasting = tuple(event for event in execution.events if orbit_event_name(event) in late)
     settled = replace(execution, events=lasting)
-    for chosen in event_sections(settled, graph) if section is None else [section]:
+    choices = event_sections(settled, graph) if section is None else [section]
+    # Early, the best section may only lag behind another.
+    for chosen in choices[:1] if within < _NEAR else choices:
         marks = [
             event for event, name in zip(execution.events, names, strict=True) if name == chosen
         ]
@@ -805,9 +861,13 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
         earlier = [one for one in reversed(earlier) if one.time < last.time]
         states = np.array([state_after(one) for one in earlier]).reshape(-1, len(scale))
         away = np.max(np.abs(states - state_after(last)) / scale, axis=1)
-        if not np.min(away, initial=np.inf) < _NEAR:
+        if not np.min(away, initial=np.inf) < within:
             continue
         n = int(np.argmax(away <= max(_NEARER * np.min(away), _SETTLED)))
+        if within < _NEAR and away[n] > _THERE:
+            before = states[2 * n + 1 :][:1]
+            if not np.max(np.abs(before - states[n]) / scale, initial=0.0) > away[n]:
+                continue
         return NearReturn(
             state=state_after(last),
             mode=SectionMode.after(execution, chosen, last.time, earlier[n].time),
@@ -815,11 +875,39 @@ def near_return(execution: Execution, graph: GraphDynamics, section: str | None)
             n_returns=n + 1,
             period=last.time - earlier[n].time,
         )
-    raise SimulationError(
+    raise UnsettledError(
         "The motion does not nearly repeat: simulate for longer (`until`), or start "
         "nearer to an orbit (`start`)",
         time=execution.end_time,
         state=tuple(execution.end_state.tolist()),
+    )
+
+
+def _nearest_of_sequence(
+    execution: Execution, graph: GraphDynamics, names: Sequence[str], sequence: tuple[str, ...]
+) -> NearReturn:
+    """Return the return of an event sequence that came nearest to repeating.
+
+    Raises:
+        SimulationError: If none did.
+    """
+    scale, section = largest_states(execution.arcs, graph), sequence[-1]
+    n, best, least = sequence.count(section), None, _ANY
+    places = [k for k, name in enumerate(names) if name == section]
+    for first, last in zip(places, places[n:], strict=False):
+        begin, end = execution.events[first], execution.events[last]
+        away = float(np.max(np.abs(state_after(end) - state_after(begin)) / scale))
+        if away < least and sequence_of(names[first + 1 : last + 1]) == sequence:
+            mode = SectionMode.after(execution, section, end.time, begin.time)
+            best, least = (end, mode, end.time - begin.time), away
+    if best is None:
+        raise UnsettledError(
+            f"No period with the events `{', '.join(sequence)}` nearly repeats",
+            time=execution.end_time,
+            state=tuple(execution.end_state.tolist()),
+        )
+    return NearReturn(
+        state=state_after(best[0]), mode=best[1], section=section, n_returns=n, period=best[2]
     )
 
 
@@ -830,6 +918,13 @@ _STILL, _LOOKS = 1e-4, 7
 def _is_at_rest(execution: Execution, graph: GraphDynamics, since: float) -> bool:
     """Return True if all states but those of the clock stay the same from a time on."""
     last = [arc for arc in execution.arcs if arc.end_time > since]
+    # A motion that has decayed is measured by what it was.
+    sizes = np.maximum(largest_states(execution.arcs, graph), np.abs(execution.arcs[0].start_state))
+    moving = [k for k in range(len(sizes)) if k not in graph.first.clock]
+    ends = np.array([arc.end_state for arc in last])
+    if np.any((np.ptp(ends, axis=0) / sizes)[moving] >= _STILL):
+        # The states at events are known, those between them cost an evaluation of the flow.
+        return False
     starts = [max(arc.start_time, since) for arc in last]
     states = np.concatenate(
         [
@@ -837,9 +932,7 @@ def _is_at_rest(execution: Execution, graph: GraphDynamics, since: float) -> boo
             for arc, start in zip(last, starts, strict=True)
         ]
     )
-    spread = np.ptp(states, axis=0) / largest_states(execution.arcs, graph)
-    spread[list(graph.first.clock)] = 0.0
-    return bool(np.all(spread < _STILL))
+    return bool(np.all((np.ptp(states, axis=0) / sizes)[moving] < _STILL))
 
 
 def _limits(names: Sequence[str]) -> dict[str, str]:
@@ -924,4 +1017,8 @@ def event_sections(execution: Execution, graph: GraphDynamics) -> list[str]:
         if isinstance(following, Release) and following.time == event.time
     }
     whole = [name for name in (*zenos, *impacts) if name not in opening]
-    return list(dict.fromkeys([*switches, *whole, *zenos, *impacts, *others]))
+    # A period of one stop alone consists of phases, each of which ends with a release.
+    alone = len(graph.stop_names) == 1 and not graph.switch_names and zenos
+    releases = [f"release {graph.stop_names[0]}"] if alone else []
+    first = [name for name in releases if name in names]
+    return list(dict.fromkeys([*switches, *first, *whole, *zenos, *impacts, *others]))

@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import EventReturn, Orbit, orbit_event_name
-from zeno_orbits.search.events.event_search import return_near
+from zeno_orbits.search.closing import return_near
 from zeno_orbits.search.events.outcome import AcceptEvents, EventCandidate, EventSearchResult
 from zeno_orbits.search.outcome import StartAttempt, Verdict
 from zeno_orbits.search.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close

@@ -33,13 +33,13 @@ from zeno_orbits.orbits import (
     orbit_event_name,
     require_event_quantity,
 )
-from zeno_orbits.search.events.candidates import judged, ranked_candidates
-from zeno_orbits.search.events.event_search import (
+from zeno_orbits.search.closing import (
     event_orbit_of,
     require_no_other_start,
     return_near,
     settled_return,
 )
+from zeno_orbits.search.events.candidates import judged, ranked_candidates
 from zeno_orbits.search.events.margins import EventWays
 from zeno_orbits.search.events.optimum import PRECISION, Optimum, Sample, along_edges, least_worst
 from zeno_orbits.search.events.outcome import AcceptEvents, EventSearchResult
@@ -230,7 +230,7 @@ class _Search:
         return settled_return(
             self.problem,
             place,
-            start=start,
+            starts=() if start is None else (start,),
             section=self.section,
             until=self.until,
             simulation=self.simulation,

@@ -35,7 +35,7 @@ from zeno_orbits.orbits import (
     orbit_event_name,
     start_by_parameters,
 )
-from zeno_orbits.search.events.event_search import indices_of, settled_return
+from zeno_orbits.search.closing import indices_of, settled_return
 from zeno_orbits.search.objectives import LEAST_RADIUS, OfImpacts
 from zeno_orbits.simulation import Extent, SimulationSettings
 from zeno_orbits.verification import EVENT_MARGINS, SHARE, measured_margin

@@ -8,12 +8,12 @@ from dataclasses import replace
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues
 from zeno_orbits.orbits import Cycle, excess, objection_to
+from zeno_orbits.search.cycles import orbit_of
 from zeno_orbits.search.homotopy.homotopy import follow
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.refinement import refine
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.shooting.closing import orbit_of
 from zeno_orbits.search.trust_region import LastStep
 from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import measure

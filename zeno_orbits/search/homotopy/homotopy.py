@@ -16,12 +16,11 @@ from zeno_orbits.orbits import (
     StepControl,
     StepError,
     orbit_multipliers,
-    place_on_section,
 )
+from zeno_orbits.search.cycles import closed_cycle
 from zeno_orbits.search.homotopy.line import Followed, LinePoint, follow_line, values_on_line
 from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.search.shooting.fixed_point import newton_on_return_map
-from zeno_orbits.simulation import SimulationSettings, scale_of
+from zeno_orbits.simulation import SimulationSettings
 
 _STEPS = StepControl(first=0.25, shortest=1e-4)
 """First and smallest step, as parts of the line."""
@@ -79,20 +78,17 @@ def follow(
         attracting: Reject orbits that are not stable.
     """
     if isinstance(near, Cycle):
-        start, scale = near.start.state, near.scale_at_events()
+        start = near.start.state
     else:
-        start, *others = map(np.array, map(search.problem.state_vector, near.states_at_events))
-        scale = scale_of([start, *others], search.problem.state_units)
+        start = np.array(search.problem.state_vector(near.start_state))
     line = _Line(search=search, first=easy, last=wanted, shape=near.shape, attracting=attracting)
     try:
-        first = _closed(line, 1.0 if easy == wanted else 0.0, start, scale, near.period)
+        first = _closed(line, 1.0 if easy == wanted else 0.0, start, near.period)
     except (SimulationError, StepError):
         return Followed(orbit=None, values=easy, arrived=False, left=1.0, end=0.0)
     return follow_line(
         first,
-        lambda part, guess, here: _closed(
-            line, part, guess, here.orbit.scale_at_events(), here.orbit.period
-        ),
+        lambda part, guess, here: _closed(line, part, guess, here.orbit.period),
         easy,
         wanted,
         steps=steps,
@@ -101,16 +97,13 @@ def follow(
     )
 
 
-def _closed(
-    line: _Line, part: float, guess: Vector, scale: Vector, period: float
-) -> LinePoint[Cycle]:
+def _closed(line: _Line, part: float, guess: Vector, period: float) -> LinePoint[Cycle]:
     """Return the orbit at a point of a line, closed from a guess.
 
     Args:
         line: The line.
         part: Position on the line, from 0 to 1.
         guess: A state near the orbit's start, ``(n_x,)``.
-        scale: Size of each state, ``(n_x,)``.
         period: Approximate period of the orbit [s].
 
     Raises:
@@ -120,22 +113,19 @@ def _closed(
     values = values_on_line(line.first, line.last, part)
     try:
         dynamics = line.search.dynamics(values)
-        start = place_on_section(dynamics, line.shape, guess)
-        closed = newton_on_return_map(
-            dynamics,
-            start,
-            scale=scale,
+        cycle = closed_cycle(
+            line.search.problem.graph_dynamics(values),
+            guess,
+            shape=line.shape,
             period=period,
             settings=SimulationSettings(),
-            shape=line.shape,
         )
     except (InputError, np.linalg.LinAlgError) as error:
         # These values are not valid for the problem, or the guess is not a valid state.
         raise StepError(str(error)) from error
-    margins = _margins(dynamics, closed.cycle)
+    margins = _margins(dynamics, cycle)
     if line.attracting:
-        margins["attraction"] = _attraction(dynamics, closed.cycle)
-    cycle = closed.cycle
+        margins["attraction"] = _attraction(dynamics, cycle)
     return LinePoint(part=part, start=cycle.start.state, orbit=cycle, margins=margins)
 
 

@@ -1,1 +1,0 @@
-"""Shooting: a simulation settles, and Newton's method on the return map closes the orbit."""
