@@ -34,7 +34,7 @@ from contact_coverage import recorded as recorded_run
 import zeno_orbits as zo
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment import FitParameter, RecordedSignal, Recording, Source, contact_names
-from zeno_orbits.experiment.identification.event_predictions import EventPeriod, event_period
+from zeno_orbits.experiment.identification.event_period import EventPeriod, event_period
 from zeno_orbits.experiment.identification.least_squares import weighed
 from zeno_orbits.experiment.identification.prepared import Prepared, prepared
 from zeno_orbits.experiment.identification.uncertainty import spread_of

@@ -51,7 +51,7 @@ from zeno_orbits.experiment import (
     Source,
     contact_names,
 )
-from zeno_orbits.experiment.identification.event_predictions import EventPeriod, event_period
+from zeno_orbits.experiment.identification.event_period import EventPeriod, event_period
 from zeno_orbits.experiment.orbit_table import measurement
 from zeno_orbits.search import event_orbit_of, settled_return
 

@@ -32,7 +32,7 @@ from zeno_orbits.experiment.identification.unknowns import unknowns_of
 from zeno_orbits.experiment.orbit_table import measurement, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.search import orbit_by_shooting
+from zeno_orbits.search import orbit_by_shooting, settled_return
 
 PROBLEM = "motor_pendulum"
 SIGNALS, SOUGHT = CASES[PROBLEM].signals, CASES[PROBLEM].unknowns
@@ -53,7 +53,8 @@ def main() -> None:
     values = problem.values(parameters=truth)
     table = tabulate_orbit(orbit_by_shooting(problem, values).unwrap(), problem, SIGNALS)
     unknowns = unknowns_of(problem, values, SOUGHT)
-    orbits = Predictions(problem, unknowns, measurement(problem, SIGNALS), table.cycle)
+    near = settled_return(problem, values)
+    orbits = Predictions(problem, unknowns, measurement(problem, SIGNALS), near)
     x = unknowns.first
     errors, halves, claimed, plain, refused = [], [], [], [], 0
     for seed in range(options.seeds):

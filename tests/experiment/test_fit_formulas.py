@@ -21,8 +21,8 @@ from zeno_orbits.experiment import (
 )
 from zeno_orbits.experiment.comparison.alignment import aligned
 from zeno_orbits.experiment.comparison.folding import MOST, Folded, folded
+from zeno_orbits.experiment.identification.event_period import event_period, orbit_slope
 from zeno_orbits.experiment.identification.least_squares import Fit, Weighed, fit, weighed
-from zeno_orbits.experiment.identification.orbit_sensitivity import orbit_slope
 from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.prepared import prepared
 from zeno_orbits.experiment.identification.stationarity import unsteady
@@ -31,8 +31,8 @@ from zeno_orbits.experiment.identification.unknowns import begin_of, unknowns_of
 from zeno_orbits.experiment.orbit_table import measurement
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import Orbit
-from zeno_orbits.search import closed_cycle, orbit_by_shooting
+from zeno_orbits.orbits import Orbit, closed_return
+from zeno_orbits.search import closed_cycle, orbit_by_shooting, settled_return
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import silent
 
@@ -46,12 +46,13 @@ def table(orbit: Orbit, problem: Problem) -> OrbitTable:
 
 
 @pytest.fixture(scope="module")
-def orbits(orbit: Orbit, problem: Problem, table: OrbitTable) -> Predictions:
+def orbits(orbit: Orbit, problem: Problem) -> Predictions:
     values = orbit.values(problem)
     numbers = {name: values.number(name) for name in NAMES}
     sought = [FitParameter(names=(n,), lower=0.5 * v, upper=2.0 * v) for n, v in numbers.items()]
     unknowns = unknowns_of(problem, values, sought)
-    return Predictions(problem, unknowns, measurement(problem, SIGNALS), table.cycle)
+    near = settled_return(problem, values)
+    return Predictions(problem, unknowns, measurement(problem, SIGNALS), near)
 
 
 def samples(
@@ -244,15 +245,17 @@ def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
             settings=settings,
         )
 
-    here = closed(p)
-    slope = orbit_slope(
-        problem.dynamics(p),
-        here.start.state,
-        scale=here.scale(),
-        period=here.period,
-        chosen=places,
+    graph = problem.graph_dynamics(p)
+    here = closed_return(
+        graph,
+        cycle.start.state,
+        section="release stop",
+        n_returns=1,
+        guess=cycle.period,
         settings=settings,
+        parameters=places,
     )
+    slope = orbit_slope(event_period(graph, here, measurement(problem, SIGNALS)))
     times = np.array([0.2, 0.5, 0.9, 1.1, 1.26, 1.31, 1.4, 1.7])
     for k, place in enumerate(places):
         step = 1e-5 * p[place]

@@ -264,6 +264,7 @@ def return_near(
             guess=near.period if last is None else last.orbit.period,
             settings=settings,
             mode=last and last.orbit.mode,
+            by_returns=True,
         )
         return LinePoint(part=part, start=found.start, orbit=found, margins={})
 

@@ -55,6 +55,7 @@ def closed_cycle(
         n_returns=events.count(events[-1]),
         guess=period,
         settings=settings,
+        by_returns=True,
         mode=SectionMode(closed=(), sides=(), stop=thrown, released=released),
     )
     return cycle_of_return(graph, found, shape, settings)

@@ -291,7 +291,7 @@ def _closed(
         guess=near.period,
         settings=settings,
         mode=near.mode,
-        is_settled=True,
+        by_returns=True,
     )
     shortest = shortest_return(graph, found, settings)
     if wanted.shape is not None:

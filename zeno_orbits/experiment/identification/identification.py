@@ -30,7 +30,7 @@ from zeno_orbits.experiment.identification.optima import (
     profile_interval,
     starts_of,
 )
-from zeno_orbits.experiment.identification.predictions import OrbitPredictions
+from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.prepared import (
     Prepared,
     UnfittableError,
@@ -48,6 +48,7 @@ from zeno_orbits.experiment.identification.unknowns import (
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Orbit
+from zeno_orbits.search import event_orbit_of
 from zeno_orbits.work import ByValue, Progress, silent
 
 __all__ = ["FittedParameter", "Identification", "UnfittableError", "fit_parameters"]
@@ -233,7 +234,7 @@ def fit_parameters(
         fitted=fitted,
         correlation=answer.spread.correlation,
         unseen=unseen,
-        orbit=whole.orbit_of(orbits.table(answer.x), at),
+        orbit=event_orbit_of(problem, at, orbits.table(answer.x).found),
         before=answer.before,
         after=answer.after,
         misfit=answer.spread.misfit,
@@ -247,7 +248,7 @@ def fit_parameters(
 
 def _nearest(
     whole: Prepared, seen: Mapping[int, float], on_progress: Progress
-) -> tuple[Fit, OrbitPredictions[Any], tuple[Vector, ...]]:
+) -> tuple[Fit, Predictions, tuple[Vector, ...]]:
     """Return the best fit, its predictions, and the other optima.
 
     Args:

@@ -21,9 +21,9 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.experiment.comparison.folding import Folded
 from zeno_orbits.experiment.identification.contact_rows import NO_CONTACTS, ContactRows
-from zeno_orbits.experiment.identification.predictions import OrbitPredictions
+from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.uncertainty import Spread, spread_of
-from zeno_orbits.experiment.orbit_table import PeriodTable, beside_jumps, jump_width
+from zeno_orbits.experiment.orbit_table import beside_jumps, jump_width
 from zeno_orbits.experiment.recordings.delays import delays_of, period_error
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.work import Progress
@@ -92,7 +92,7 @@ class Weighed:
         contacts: The edges of the contact channels.
     """
 
-    orbits: OrbitPredictions[PeriodTable]
+    orbits: Predictions
     data: Folded
     found: Periodicity
     weights: Vector
@@ -127,7 +127,7 @@ class Weighed:
 
 
 def fit(
-    orbits: OrbitPredictions[PeriodTable],
+    orbits: Predictions,
     samples: Folded,
     found: Periodicity,
     first: Vector,
@@ -167,7 +167,7 @@ def fit(
 
 
 def _fitted_from(
-    orbits: OrbitPredictions[PeriodTable],
+    orbits: Predictions,
     samples: Folded,
     found: Periodicity,
     first: Vector,
@@ -207,7 +207,7 @@ def _fitted_from(
 
 
 def rough_fit(
-    orbits: OrbitPredictions[PeriodTable],
+    orbits: Predictions,
     samples: Folded,
     found: Periodicity,
     first: Vector,
@@ -264,7 +264,7 @@ def _stretch(stage: Weighed, x: Vector) -> tuple[float, float, float]:
     return 1.0 + float(change[-1]), error, jump_width(ends)
 
 
-def deviation(orbits: OrbitPredictions[PeriodTable], data: Folded, x: Vector) -> float:
+def deviation(orbits: Predictions, data: Folded, x: Vector) -> float:
     """Return the root mean square deviation of all signals, in parts of their ranges.
 
     Args:
@@ -281,7 +281,7 @@ def deviation(orbits: OrbitPredictions[PeriodTable], data: Folded, x: Vector) ->
 
 
 def weighed(
-    orbits: OrbitPredictions[PeriodTable],
+    orbits: Predictions,
     data: Folded,
     found: Periodicity,
     x: Vector,

@@ -25,9 +25,8 @@ from zeno_orbits.experiment.identification.least_squares import (
     fit,
     rough_fit,
 )
-from zeno_orbits.experiment.identification.predictions import OrbitPredictions
+from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.unknowns import Unknowns
-from zeno_orbits.experiment.orbit_table import PeriodTable
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.work import Progress
 
@@ -86,7 +85,7 @@ def starts_of(
     return [*known, *spread]
 
 
-Orbits = TypeVar("Orbits", bound=OrbitPredictions[PeriodTable])
+Orbits = TypeVar("Orbits", bound=Predictions)
 
 
 def global_fit(
@@ -184,7 +183,7 @@ def _is_new(x: Vector, known: Sequence[Vector], answer: Fit) -> bool:
     return all(answer.spread.apart(x - one, _SAME) for one in known)
 
 
-def _noise(orbits: OrbitPredictions[PeriodTable], samples: Folded, x: Vector) -> Vector:
+def _noise(orbits: Predictions, samples: Folded, x: Vector) -> Vector:
     """Return the noise of each signal from the median of its residuals, ``(n_s,)``."""
     values = orbits.fold(x, samples).values
     rest = np.abs(samples.values - values) * np.sqrt(samples.counts)
@@ -193,7 +192,7 @@ def _noise(orbits: OrbitPredictions[PeriodTable], samples: Folded, x: Vector) ->
 
 
 def _measure(
-    orbits: OrbitPredictions[PeriodTable],
+    orbits: Predictions,
     samples: Folded,
     found: Periodicity,
     x: Vector,

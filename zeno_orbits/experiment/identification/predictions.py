@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Generic, Self, TypeVar
+from typing import Self
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.experiment.comparison.folding import Fold, Folded
-from zeno_orbits.experiment.identification.orbit_sensitivity import OrbitSlope, orbit_slope
+from zeno_orbits.experiment.identification.event_period import (
+    EventPeriod,
+    OrbitSlope,
+    event_period,
+    orbit_slope,
+)
 from zeno_orbits.experiment.identification.unknowns import Unknowns
-from zeno_orbits.experiment.orbit_table import Measurement, OrbitTable, PeriodTable, tabulated
+from zeno_orbits.experiment.orbit_table import Measurement
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import Cycle
-from zeno_orbits.search import closed_cycle
+from zeno_orbits.orbits import EventReturn, closed_return, orbit_event_name
 from zeno_orbits.simulation import SimulationSettings
 
 _KEPT = 64
 """Orbits that are remembered."""
-_MORE, _IMPACTS = 6, 60
-"""An orbit of more impacts than so many times those at the start, and so many, is not followed."""
+_MORE, _EVENTS = 6, 120
+"""An orbit of more events than so many times those at the start, and so many, is not followed."""
 _STEPS = 4
 """Steps in which an orbit is followed to other unknowns, at most."""
 
@@ -61,20 +64,30 @@ class EventTimes:
         return replace(self, times=self.times * factor, period=self.period * factor)
 
 
-Table = TypeVar("Table", bound=PeriodTable, covariant=True)
-
-
-class OrbitPredictions(ABC, Generic[Table]):
+class Predictions:
     """Orbits at unknowns. The search for the next orbit starts from the last accepted orbit."""
 
-    def __init__(self, unknowns: Unknowns, measured: Measurement) -> None:
+    def __init__(
+        self, problem: Problem, unknowns: Unknowns, measured: Measurement, near: EventReturn
+    ) -> None:
+        """Start at an orbit.
+
+        Args:
+            problem: The problem.
+            unknowns: The unknowns.
+            measured: The recorded signals.
+            near: The return of the orbit.
+        """
         self.unknowns = unknowns
-        self._measured = measured
+        self._problem, self._near, self._measured = problem, near, measured
+        self._graph = problem.graph_dynamics(unknowns.base)
+        self._settings = SimulationSettings()
+        self._most = _MORE * len(near.events) + _EVENTS
         self._instruments = unknowns.instruments(measured.names)
-        self._tables: Callable[[bytes], Table] = lru_cache(_KEPT)(self._tabulated)
+        self._tables: Callable[[bytes], EventPeriod] = lru_cache(_KEPT)(self._tabulated)
         self._slopes: Callable[[bytes], OrbitSlope] = lru_cache(_KEPT)(self._differentiated)
 
-    def table(self, x: Vector) -> Table:
+    def table(self, x: Vector) -> EventPeriod:
         """Return the orbit at unknowns.
 
         Raises:
@@ -86,12 +99,12 @@ class OrbitPredictions(ABC, Generic[Table]):
             # The search for an orbit may leave the states that a simulation accepts.
             raise SimulationError("No orbit is found there", time=0.0, state=()) from error
 
-    @abstractmethod
     def accept(self, x: Vector) -> None:
         """Start the next searches from the orbit at these unknowns."""
+        self._near = self.table(x).found
 
     def events(self, x: Vector) -> EventTimes:
-        """Return the times of the events of the orbit at unknowns, none if they are not predicted.
+        """Return the times of the events of the orbit at unknowns.
 
         Raises:
             SimulationError: If no orbit is found near the last accepted orbit.
@@ -167,63 +180,42 @@ class OrbitPredictions(ABC, Generic[Table]):
 
     def _events(self, x: Vector) -> EventTimes:
         """Return the times of the events at unknowns by the machine's clock."""
-        return EventTimes(names=(), times=np.zeros(0), period=self.table(x).period)
+        found = self.table(x).found
+        return EventTimes(
+            names=tuple(orbit_event_name(event) for event in found.events),
+            times=np.array([event.time for event in found.events]),
+            period=found.period,
+        )
 
     def _event_slopes(self, x: Vector) -> Vector:
         """Return the derivatives of these times by the values of the unknowns, ``(n, k)``."""
-        return np.zeros((0, len(x) - 1))
+        table = self.table(x)
+        times = np.array([shift.time for shift in table.found.shifts])
+        return times @ table.moved @ self.unknowns.ties
 
-    @abstractmethod
     def _copy(self) -> Self:
         """Return the same predictions without remembered orbits."""
-
-    @abstractmethod
-    def _tabulated(self, key: bytes) -> Table:
-        """Return the orbit at gains and parameters, given as bytes."""
-
-    @abstractmethod
-    def _differentiated(self, key: bytes) -> OrbitSlope:
-        """Return the derivatives of this orbit with respect to the parameters that vary."""
-
-
-class Predictions(OrbitPredictions[OrbitTable]):
-    """Zeno orbits of a machine with one stop at unknowns."""
-
-    def __init__(
-        self, problem: Problem, unknowns: Unknowns, measured: Measurement, near: Cycle
-    ) -> None:
-        super().__init__(unknowns, measured)
-        self._problem, self._near = problem, near
-        self._settings = SimulationSettings()
-        self._most = _MORE * len(near.impacts) + _IMPACTS
-
-    def accept(self, x: Vector) -> None:
-        """Start the next searches from the orbit at these unknowns."""
-        self._near = self.table(x).cycle
-
-    def _copy(self) -> Self:
         return type(self)(self._problem, self.unknowns, self._measured, self._near)
 
-    def _tabulated(self, key: bytes) -> OrbitTable:
-        near, p = self._near, np.frombuffer(key)
-        cycle = closed_cycle(
-            self._problem.graph_dynamics(p),
-            near.start.state,
-            shape=near.shape,
-            period=near.period,
+    def _tabulated(self, key: bytes) -> EventPeriod:
+        """Return the orbit at gains and parameters, given as bytes."""
+        near, graph = self._near, self._graph.at(np.frombuffer(key))
+        section = orbit_event_name(near.events[-1])
+        found = closed_return(
+            graph,
+            near.start,
+            section=section,
+            n_returns=sum(orbit_event_name(event) == section for event in near.events),
+            guess=near.period,
             settings=self._settings,
+            parameters=self.unknowns.places,
+            mode=near.mode,
+            by_returns=True,
         )
-        if len(cycle.impacts) > self._most:
-            raise SimulationError("Too many impacts per period", time=0.0, state=())
-        return tabulated(self._problem.dynamics(p), cycle, self._measured, p)
+        if len(found.events) > self._most:
+            raise SimulationError("Too many events per period", time=0.0, state=())
+        return event_period(graph, found, self._measured)
 
     def _differentiated(self, key: bytes) -> OrbitSlope:
-        table = self._tables(key)
-        return orbit_slope(
-            self._problem.dynamics(table.p),
-            table.cycle.start.state,
-            scale=table.cycle.scale_at_events(),
-            period=table.period,
-            chosen=self.unknowns.places,
-            settings=self._settings,
-        )
+        """Return the derivatives of this orbit with respect to the parameters that vary."""
+        return orbit_slope(self._tables(key))

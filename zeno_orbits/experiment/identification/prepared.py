@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,26 +19,17 @@ from zeno_orbits.experiment.identification.contact_rows import (
     ContactRows,
     contact_rows,
 )
-from zeno_orbits.experiment.identification.event_predictions import (
-    EventPeriod,
-    EventPredictions,
-    event_period,
-)
+from zeno_orbits.experiment.identification.event_period import event_period
 from zeno_orbits.experiment.identification.instruments import corrected
-from zeno_orbits.experiment.identification.predictions import OrbitPredictions, Predictions
+from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.unknowns import Unknowns
-from zeno_orbits.experiment.orbit_table import (
-    OrbitTable,
-    PeriodTable,
-    measurement,
-    tabulate_orbit,
-)
+from zeno_orbits.experiment.orbit_table import PeriodTable, measurement
 from zeno_orbits.experiment.recordings.contacts import contact_names
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Orbit
-from zeno_orbits.search import event_orbit_of, orbit_by_shooting, orbit_of, settled_return
+from zeno_orbits.orbits import EventReturn, Orbit
+from zeno_orbits.search import event_orbit_of, settled_return
 from zeno_orbits.work import Progress
 
 _LEAST_CYCLES = 2.0
@@ -64,10 +54,9 @@ class Prepared:
         time: Times of the recording [s].
         remarks: Remarks on the recording.
         restitution: The restitution that its contacts show, or NaN.
-        orbit_of: Function that returns the orbit of a table of `orbits` at its parameter values.
     """
 
-    orbits: OrbitPredictions[Any]
+    orbits: Predictions
     samples: Folded
     contacts: ContactRows
     found: Periodicity
@@ -75,7 +64,6 @@ class Prepared:
     time: Vector
     remarks: tuple[str, ...]
     restitution: float
-    orbit_of: Callable[[Any, ParameterValues], Orbit]
 
 
 def prepared(
@@ -112,35 +100,34 @@ def _prepared_cycle(
 ) -> Prepared:
     """Return the beginning of a fit of a machine with one stop."""
     on_progress("looking for the orbit at the start", None)
-    closing = orbit_by_shooting(problem, begin)
-    if closing.orbit is None:
-        raise refusal(f"an orbit to fit is missing at the start: {closing.detail.rstrip('.')}")
+    first, begun = _settled(problem, begin)
     on_progress("laying the recording over it", None)
-    names, begun = shared_signals(problem, recording), closing.orbit
-    table = tabulate_orbit(begun, problem, names)
-    unknowns, likely = _likely(unknowns, recording, names, lambda: table)
+    names = shared_signals(problem, recording)
+    signals = measurement(problem, names)
+    unknowns, likely = _likely(
+        unknowns,
+        recording,
+        names,
+        lambda: event_period(problem.graph_dynamics(begin), first, signals),
+    )
     instruments, errors = unknowns.instruments(names), unknowns.start
-    first = compare_recording(begun, problem, likely)
-    laid = first.overlay
-    if first.reasons or laid is None:
-        raise refusal("; ".join(first.reasons or first.unresolved))
+    compared = compare_recording(begun, problem, likely)
+    laid = compared.overlay
+    if compared.reasons or laid is None:
+        raise refusal("; ".join(compared.reasons or compared.unresolved))
     _require_cycles(laid.found)
-    contacts = first.contacts
+    contacts = compared.contacts
     known = contacts is not None and contacts.restitution.known
 
-    def orbit(table: OrbitTable, values: ParameterValues) -> Orbit:
-        return orbit_of(table.cycle, problem, values)
-
     return Prepared(
-        orbits=Predictions(problem, unknowns, measurement(problem, laid.names), table.cycle),
+        orbits=Predictions(problem, unknowns, measurement(problem, laid.names), first),
         samples=folded(laid.time, instruments.read(laid.values.T, errors).T, laid.where),
         contacts=NO_CONTACTS,
         found=replace(laid.found, period=laid.where.period, error=laid.where.period_error),
         where=laid.where,
         time=laid.time,
-        remarks=tuple(first.remarks),
+        remarks=tuple(compared.remarks),
         restitution=contacts.restitution.value if contacts is not None and known else math.nan,
-        orbit_of=orbit,
     )
 
 
@@ -156,13 +143,8 @@ def _prepared_events(
     names = shared_signals(problem, recording, contact_names(stops))
     on_progress("looking for the orbit at the start", None)
     changing = [problem.names[place] for place in unknowns.places]
-    try:
-        first = settled_return(problem, begin, changing=changing)
-    except (SimulationError, InputError) as error:
-        missing = "an orbit to fit is missing at the start"
-        raise refusal(f"{missing}: {str(error).rstrip('.')}") from error
+    first, start = _settled(problem, begin, changing)
     on_progress("laying the recording over it", None)
-    start = event_orbit_of(problem, begin, first)
     signals = measurement(problem, names)
     unknowns, likely = _likely(
         unknowns,
@@ -181,12 +163,9 @@ def _prepared_events(
     period = compared.metrics[0]
     where = replace(laid.where, period=period.data, period_error=period.error)
 
-    def orbit(table: EventPeriod, values: ParameterValues) -> Orbit:
-        return event_orbit_of(problem, values, table.found)
-
     instruments, errors = unknowns.instruments(names), unknowns.start
     return Prepared(
-        orbits=EventPredictions(problem, unknowns, signals, first),
+        orbits=Predictions(problem, unknowns, signals, first),
         samples=folded(laid.time, instruments.read(laid.values.T, errors).T, where),
         contacts=contact_rows(laid.seen, where.release, where.period, where.period_error),
         found=replace(laid.found, period=where.period, error=where.period_error),
@@ -194,8 +173,19 @@ def _prepared_events(
         time=laid.time,
         remarks=compared.remarks,
         restitution=math.nan,
-        orbit_of=orbit,
     )
+
+
+def _settled(
+    problem: Problem, begin: ParameterValues, changing: Sequence[str] = ()
+) -> tuple[EventReturn, Orbit]:
+    """Return the orbit at the start of a fit, as a return and as an orbit."""
+    try:
+        found = settled_return(problem, begin, changing=changing)
+    except (SimulationError, InputError) as error:
+        missing = "an orbit to fit is missing at the start"
+        raise refusal(f"{missing}: {str(error).rstrip('.')}") from error
+    return found, event_orbit_of(problem, begin, found)
 
 
 def _likely(

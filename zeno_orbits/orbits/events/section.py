@@ -543,7 +543,7 @@ def closed_return(
     mode: SectionMode | None = None,
     is_near: bool = False,
     exact: float = 10.0 * _EXACT,
-    is_settled: bool = False,
+    by_returns: bool = False,
 ) -> EventReturn:
     r"""Return the periodic orbit near a start, by Newton's method.
 
@@ -565,15 +565,15 @@ def closed_return(
         is_near: Whether the start is near the orbit, so that every correction is smaller than the
             one before. The first one that is not ends the search.
         exact: Relative correction of an orbit. Newton's method ends at a tenth of it.
-        is_settled: Whether a motion has come to the start by itself, so that returns alone lead on.
-            The first :math:`H` is then the identity, which costs no derivative.
+        by_returns: Start with the identity as :math:`H`, which costs no derivative. It is faster
+            where the orbit attracts.
 
     Raises:
         SimulationError: If Newton's method does not converge, or the motion does not return.
     """
     best, best_size, size = None, math.inf, math.inf
     last: EventReturn | None = None
-    inverse = np.eye(x.size) if is_settled else None
+    inverse = np.eye(x.size) if by_returns else None
     limit = _HALVES
     returned = partial(event_return, graph, section=section, n_returns=n_returns, settings=settings)
     for _ in range(_MOST_ITERATIONS):
