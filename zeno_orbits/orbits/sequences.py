@@ -30,26 +30,28 @@ def kind_of_events(events: Sequence[tuple[str, float]]) -> str:
     return SIMPLE_ORBIT if plastic else ZENO_ORBIT
 
 
-def shape_of_events(events: Sequence[tuple[str, float]]) -> EventSequence | None:
+def shape_of_events(events: Sequence[Event], *, is_plastic: bool = False) -> EventSequence | None:
     """Return the phases that the events of a period form, or ``None`` if they form none.
 
     Args:
-        events: Name and time of each event of a period of one stop named `stop`, in order.
+        events: Events of a period of one stop named `stop`, in order.
+        is_plastic: Whether the stop is plastic, so that each impact ends a phase.
     """
-    names, kinds = [name for name, _ in events], list[PhaseKind]()
-    phases = phases_of_events(names)
-    while phases:
-        phase, *phases = phases
-        if names[phase[-1]] == "impact stop":
-            kinds.append(PhaseKind.IMPACT)
-        elif phases and [names[phase[-1]], names[phases[0][-1]]] == ["zeno stop", "release stop"]:
-            phases = phases[1:]
-            plastic = len(phase) == 2 and len({events[k][1] for k in phase}) == 1
-            kinds.append(PhaseKind.PLASTIC if plastic else PhaseKind.ZENO)
-        else:
+    kinds, impacts, holds = list[PhaseKind](), 0, False
+    for name in map(orbit_event_name, events):
+        if (name == "release stop") is not holds:
             return None
+        if name == "impact stop":
+            impacts += 1
+        elif name == "zeno stop":
+            own = [PhaseKind.PLASTIC] if is_plastic else [PhaseKind.ZENO]
+            kinds += [PhaseKind.IMPACT] * ((impacts - 1) * is_plastic) + own
+            impacts = 0
+        elif not holds:
+            return None
+        holds = name == "zeno stop"
     try:
-        return EventSequence(phases=tuple(kinds))
+        return EventSequence(phases=(*kinds, *[PhaseKind.IMPACT] * impacts)) if not holds else None
     except InputError:
         return None
 
@@ -60,11 +62,8 @@ def events_of_shape(shape: EventSequence) -> tuple[str, ...]:
     Args:
         shape: The phases.
     """
-    return tuple(
-        name
-        for kind in shape.phases
-        for name in (("zeno stop", "release stop") if kind.holds else ("impact stop",))
-    )
+    held = ("impact stop", "zeno stop", "release stop")
+    return sequence_of([name for kind in shape.phases for name in held[: 3 if kind.holds else 1]])
 
 
 def sequence_of(names: Sequence[str]) -> tuple[str, ...]:

@@ -21,12 +21,12 @@ from zeno_orbits.orbits import (
     EventSequence,
     Orbit,
     OrbitEvent,
+    PhaseKind,
     StepControl,
     closed_return,
     largest_states,
     orbit_event_name,
     orbit_of_events,
-    phases_of_events,
     shape_of_events,
 )
 from zeno_orbits.search.cycles import beyond_limits, named
@@ -363,10 +363,14 @@ def event_orbit_of(problem: Problem, values: ParameterValues, found: EventReturn
     """
     names = [orbit_event_name(event) for event in found.events]
     times = [event.time for event in found.events]
-    shape = None if problem.has_graph else shape_of_events(list(zip(names, times, strict=True)))
-    # The next phase starts at the state after an impact that the stop throws off.
-    ends = [] if shape is None else [phase[-1] for phase in phases_of_events(names)[:-1]]
-    thrown = {k for k in ends if names[k] == "impact stop"}
+    shape, thrown = None, set[int]()
+    if not problem.has_graph:
+        is_plastic = problem.dynamics(values).restitution == 0.0
+        shape = shape_of_events(found.events, is_plastic=is_plastic)
+    if shape is not None and PhaseKind.IMPACT in shape.phases:
+        # The next phase starts at the state after an impact that the stop throws off.
+        ends = [name == "impact stop" for name in names[:-1]]
+        thrown = {k for k, hit in enumerate(ends) if hit and names[k + 1] != "zeno stop"}
     events = [
         OrbitEvent(
             name=names[k],

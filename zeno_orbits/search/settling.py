@@ -279,6 +279,7 @@ def _closed(
         if wanted.shape is None:
             raise
         _require_shape(
+            graph,
             _closed(graph, motion, replace(wanted, shape=None), settings, is_early=is_early),
             wanted.shape,
         )
@@ -295,13 +296,13 @@ def _closed(
     )
     shortest = shortest_return(graph, found, settings)
     if wanted.shape is not None:
-        _require_shape(shortest, wanted.shape)
+        _require_shape(graph, shortest, wanted.shape)
     return shortest
 
 
-def _require_shape(found: EventReturn, wanted: EventSequence) -> None:
+def _require_shape(graph: GraphDynamics, found: EventReturn, wanted: EventSequence) -> None:
     """Refuse an orbit of another shape than the one that is asked for."""
-    shape = shape_of_events([(orbit_event_name(event), event.time) for event in found.events])
+    shape = shape_of_events(found.events, is_plastic=graph.first.restitution == 0.0)
     if shape is None or events_of_shape(shape) == events_of_shape(wanted):
         return
     reason = f"The motion settles to an orbit of shape `{shape.text}`"

@@ -130,10 +130,10 @@ def simulated(search: SearchProblem, values: ParameterValues) -> FollowedMotion:
             shape=search.shape,
             until=search.settings.settling.horizon,
         )
-        listed = [(orbit_event_name(event), event.time) for event in found.events]
-        shape = search.shape or shape_of_events(listed)
+        is_plastic = search.dynamics(values).restitution == 0.0
+        shape = search.shape or shape_of_events(found.events, is_plastic=is_plastic)
         if shape is None:
-            sequence = ", ".join(name for name, _ in listed)
+            sequence = ", ".join(map(orbit_event_name, found.events))
             return FollowedMotion(cycle=None, reason=f"the motion has the events `{sequence}`")
         cycle = cycle_of_return(problem.graph_dynamics(values), found, shape, settings)
     except SimulationError as error:
