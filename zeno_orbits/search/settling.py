@@ -29,6 +29,7 @@ from zeno_orbits.orbits import (
     closed_return,
     events_of_shape,
     largest_states,
+    multipliers_of_return,
     near_return,
     on_section,
     orbit_event_name,
@@ -58,6 +59,8 @@ _EARLY = 1e-2
 """Relative distance of two states after events, below which a motion nearly repeats early."""
 _THERE = 1e-4
 """Relative distance from an orbit at which a motion has arrived."""
+_FAST = 0.5
+"""Ratio of two such distances below which the orbit attracts without doubt."""
 _ROUGH = 1e-8
 """Accuracy of the motion before it repeats."""
 
@@ -323,7 +326,12 @@ def _comes_nearer(graph: GraphDynamics, motion: Execution, found: EventReturn) -
     states = np.array([state_after(one) for one in marks[-1 :: -names.count(names[-1])][:3]])
     scale = largest_states(found.execution.arcs, graph)
     away = np.max(np.abs(states - found.start) / scale, axis=1)
-    return bool(away[0] < _THERE or (len(away) > 1 and away[0] < np.min(away[1:])))
+    if len(away) < 2 or not away[0] < np.min(away[1:]):
+        return bool(away[0] < _THERE)
+    if away[0] < _FAST * away[1]:
+        return True
+    # Beside a flip, a motion first comes nearer to the orbit that repels it.
+    return all(abs(value) <= 1.0 for value in multipliers_of_return(graph, found))
 
 
 def _decays(motion: Execution) -> bool:
