@@ -59,7 +59,7 @@ _EARLY = 1e-2
 """Relative distance of two states after events, below which a motion nearly repeats early."""
 _THERE = 1e-4
 """Relative distance from an orbit at which a motion has arrived."""
-_FAST = 0.5
+_FAST = 0.1
 """Ratio of two such distances below which the orbit attracts without doubt."""
 _ROUGH = 1e-8
 """Accuracy of the motion before it repeats."""
