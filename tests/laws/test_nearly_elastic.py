@@ -55,7 +55,7 @@ def test_a_ball_with_a_named_stop_that_loses_little_is_not_periodic(lost: float)
     )
     (found,) = attractors_at(ball, [ball.values()])
     assert (found.phrase, found.kind) == ("not settled yet", AttractorKind.UNDECIDED)
-    assert f"changes steadily, by {lost:.1g} of its size per period" in found.detail
+    assert f"steadily slower, by {lost:.1g} of their speed each" in found.detail
 
 
 @pytest.mark.parametrize(("amplitude", "is_chaotic"), [(1e-6, False), (1e-3, False), (9e-3, True)])

@@ -114,10 +114,15 @@ def test_several_workers_want_a_problem_that_they_can_load() -> None:
         zo.search_gains(ball, vary={"A": (0.01, 0.02)}, workers=2)
 
 
-def test_an_orbit_with_several_zeno_points_is_not_continued(orbit: zo.Orbit) -> None:
-    with pytest.raises(zo.InputError, match="must have one Zeno point per period") as refused:
-        zo.continue_orbit(orbit.with_phases(2 * orbit.phases), ("Kp", 2.4, 2.6))
-    assert "its shape is `zeno*2`" in str(refused.value)
+@pytest.mark.slow
+def test_an_orbit_with_several_zeno_points_is_continued() -> None:
+    gains = {"Kp": 4.3, "Kd": -1.55}
+    orbit = zo.find_orbit_by_shooting("motor_pendulum", gains=gains).unwrap()
+    assert orbit.sequence == 2 * ("zeno stop", "release stop")
+    (family, *_) = zo.continue_orbit(orbit, ("Kp", 4.28, 4.3)).families
+    last = min(family.points, key=lambda point: point.value)
+    moved = zo.find_orbit_by_shooting("motor_pendulum", gains=gains | {"Kp": last.value}).unwrap()
+    assert last.period == pytest.approx(moved.period, rel=1e-9)
 
 
 @pytest.mark.parametrize(

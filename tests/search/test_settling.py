@@ -63,7 +63,7 @@ def test_a_table_too_slow_to_toss_anything_is_told_to_come_to_rest(omega: float)
     assert found.detail.startswith("The motion comes to rest")
 
 
-@pytest.mark.parametrize("gains", [{"Kp": 4.3, "Kd": -1.53}])
+@pytest.mark.parametrize("gains", [{"Kp": 4.3, "Kd": -1.55}])
 def test_a_motion_beside_an_orbit_that_repels_it_settles_to_the_doubled_one(
     gains: dict[str, float],
 ) -> None:

@@ -287,7 +287,9 @@ class Point:
         if closed is not None:
             found = self._converged(closed, visits, n, mode)
         else:
-            found = (self._fading(visits, mode) if n == 1 else None) or self._repeated(visits, n)
+            # A change that is an error has no direction.
+            may_fade = n == 1 and repeated.change > self._same
+            found = (self._fading(visits, mode) if may_fade else None) or self._repeated(visits, n)
         self._failures += found is None
         return found
 

@@ -62,6 +62,9 @@ _CORRECTIONS, _ON = 6, 1e-15
 _MOST_ITERATIONS = 30
 _EXACT = 3e-14
 """Relative correction below which Newton's method has converged to rounding."""
+_MISSED = 1e-6
+"""Largest relative change over an orbit. That of a correction to rounding is larger beside an orbit
+that repels strongly."""
 _ROUNDED = 1e-9
 """Relative correction below which Newton's method ends at a correction that is not smaller."""
 _SPACINGS = 4.0
@@ -605,11 +608,7 @@ def closed_return(
         if size > 0.5:
             change *= 0.5 / size
         x = found.start + change
-    arcs = () if best is None else best.execution.arcs
-    if best is None or (
-        best_size > max(1e-10, exact)
-        and best_size > time_blur(arcs, graph, best.period, largest_states(arcs, graph))
-    ):
+    if best is None or not _is_closed(graph, best, best_size, exact):
         raise SimulationError(
             "Newton's method does not converge to a periodic orbit: the motion may repeat after "
             "more returns, or not at all",
@@ -617,6 +616,18 @@ def closed_return(
             state=tuple(x.tolist()),
         )
     return best
+
+
+def _is_closed(graph: GraphDynamics, found: EventReturn, size: float, exact: float) -> bool:
+    """Return True if a return repeats: its correction is rounding, and so is what it misses.
+
+    An estimate of the inverse may be zero along what a return misses.
+    """
+    arcs = found.execution.arcs
+    scale = largest_states(arcs, graph)
+    if not np.max(np.abs(found.end - found.start) / scale) <= _MISSED:
+        return False
+    return size <= max(1e-10, exact) or size <= time_blur(arcs, graph, found.period, scale)
 
 
 def _improved(inverse: Vector, before: EventReturn, after: EventReturn, scale: Vector) -> Vector:
