@@ -13,6 +13,7 @@ from benchmarks.random_graphs import drawn
 from benchmarks.random_graphs import problem as random_machine
 from tests.reference.reference_orbit import PERIOD
 from tests.support.mechanisms import spring_mass
+from tests.support.random_machines import RandomMachine
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, load_problem, own_time
 from zeno_orbits.search import TransientSettings, orbit_by_shooting
@@ -141,3 +142,11 @@ def test_the_first_start_that_settles_is_taken() -> None:
 def test_a_time_to_wait_that_is_not_positive_is_refused(wrong: float) -> None:
     with pytest.raises(InputError, match="`until` must be a finite, positive number"):
         TransientSettings(horizon=wrong)
+
+
+def test_an_orbit_without_a_derivative_is_found_without_multipliers() -> None:
+    # A root of its force meets zero at an event.
+    problem = RandomMachine(seed=20).problem()
+    orbit = zo.find_orbit_by_shooting(problem).unwrap()
+    assert orbit.floquet_multipliers == ()
+    assert not zo.verify(orbit, problem=problem).stable

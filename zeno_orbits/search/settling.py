@@ -331,7 +331,11 @@ def _comes_nearer(graph: GraphDynamics, motion: Execution, found: EventReturn) -
     if away[0] < _FAST * away[1]:
         return True
     # Beside a flip, a motion first comes nearer to the orbit that repels it.
-    return all(abs(value) <= 1.0 for value in multipliers_of_return(graph, found))
+    try:
+        return all(abs(value) <= 1.0 for value in multipliers_of_return(graph, found))
+    except SimulationError:
+        # Without a derivative, the approach alone decides.
+        return True
 
 
 def _decays(motion: Execution) -> bool:

@@ -218,9 +218,18 @@ def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[com
     Args:
         graph: The graph of modes.
         found: The return.
+
+    Raises:
+        SimulationError: If the return has no derivative, as where a root meets zero at an event.
     """
     scale = largest_states(found.execution.arcs, graph)
     slope = _slope(graph, found, scale)[2]
+    if not np.all(np.isfinite(slope)):
+        raise SimulationError(
+            "The return lacks a derivative: a formula has an infinite slope at an event",
+            time=found.period,
+            state=tuple(found.start.tolist()),
+        )
     least = len(slope)
     phases = phases_of_events([orbit_event_name(event) for event in found.events])
     # Events of one kind between the same modes have sections of one dimension.
