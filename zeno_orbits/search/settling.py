@@ -59,8 +59,8 @@ _EARLY = 1e-2
 """Relative distance of two states after events, below which a motion nearly repeats early."""
 _THERE = 1e-4
 """Relative distance from an orbit at which a motion has arrived."""
-_FAST = 0.1
-"""Ratio of two such distances below which the orbit attracts without doubt."""
+_FAST, _HALF = 0.1, 0.5
+"""Ratios of two successive such distances, and of the two before, below which an orbit attracts."""
 _ROUGH = 1e-8
 """Accuracy of the motion before it repeats."""
 
@@ -106,19 +106,64 @@ def settled_from(
             method does not converge.
         InputError: If the section does not occur.
     """
+    passed: EventReturn | None = None
+    trouble: SimulationError | None = None
+    exact = settings.tolerance.relative
+    # Near the border of a basin, a rough motion may miss the orbit to which the exact one leads.
+    for error in sorted({max(_ROUGH, exact), exact}, reverse=True):
+        try:
+            found, attracts = _settled(problem, graph, start, wanted, until, settings, error)
+        except UnsettledError as unsettled:
+            trouble = unsettled
+            continue
+        if attracts:
+            return found
+        passed = passed or found
+    if passed is not None:
+        # The motion passes an orbit that repels it, and has not found another.
+        return passed
+    if trouble is None:
+        raise AssertionError("A motion is followed at least once.")
+    raise trouble
+
+
+def _settled(
+    problem: Problem,
+    graph: GraphDynamics,
+    start: Vector,
+    wanted: Wanted,
+    until: float | None,
+    settings: SimulationSettings,
+    error: float,
+) -> tuple[EventReturn, bool]:
+    """Return the periodic return near the end of a motion, and whether it attracts the motion.
+
+    Args:
+        problem: As for `settled_from`.
+        graph: As for `settled_from`.
+        start: As for `settled_from`.
+        wanted: As for `settled_from`.
+        until: As for `settled_from`.
+        settings: As for `settled_from`.
+        error: Relative local error of the motion.
+
+    Raises:
+        SimulationError: As for `settled_from`.
+    """
     trouble: SimulationError | None = None
     passed: EventReturn | None = None
     slowest = own_time(graph.first, start)
     sure = _SURE * slowest if until is None else until
-    for motion, is_cut in _motions(problem, graph, start, wanted, until, slowest, settings):
+    rough = _rough(problem, graph, settings, error)
+    for motion, is_cut in _motions(problem, graph, start, wanted, until, slowest, rough):
         is_early = motion.end_time < sure
         try:
             found = _closed(graph, motion, wanted, settings, is_early=is_early)
             if wanted.shape is not None or _comes_nearer(graph, motion, found):
-                return found
+                return found, True
             passed = passed or found
-        except SimulationError as error:
-            trouble = _many_steps(motion, settings) if is_cut else error
+        except SimulationError as reason:
+            trouble = _many_steps(motion, settings) if is_cut else reason
         except InputError:
             # The event of the section may follow later.
             if not (is_cut or is_early):
@@ -130,8 +175,7 @@ def settled_from(
                 state=tuple(motion.end_state.tolist()),
             )
     if passed is not None:
-        # The motion passes an orbit that repels it, and has not found another.
-        return passed
+        return passed, False
     if trouble is None:
         raise AssertionError("A motion has a first piece.")
     raise trouble
@@ -155,18 +199,17 @@ def _motions(
         wanted: Section of the orbit.
         until: Longest time [s], or ``None``.
         slowest: The problem's slowest time [s].
-        settings: Accuracy of the orbit.
+        settings: Accuracy of the motion.
 
     Raises:
         SimulationError: If the motion cannot be continued.
     """
-    rough = _rough(problem, graph, settings)
     longest = _LONGEST * slowest if until is None else until
     time, steps = min(_FIRST * slowest, longest), min(_STEPS, settings.most_steps)
     motion: Execution | None = None
     while True:
         try:
-            motion, is_cut = _continued(graph, x, motion, time, steps, rough)
+            motion, is_cut = _continued(graph, x, motion, time, steps, settings)
         except RunawayError as error:
             raise _escaped(problem, error) from error
         except StepLimitError:
@@ -189,7 +232,7 @@ def _motions(
 
 
 def _rough(
-    problem: Problem, graph: GraphDynamics, settings: SimulationSettings
+    problem: Problem, graph: GraphDynamics, settings: SimulationSettings, error: float
 ) -> SimulationSettings:
     """Return the settings of a motion that has not settled, with the limits of its coordinates."""
     limits = {name: escape.beyond for name, escape in problem.escapes.items()}
@@ -197,10 +240,10 @@ def _rough(
     return replace(
         settings,
         tolerance=Tolerance(
-            relative=max(settings.tolerance.relative, _ROUGH),
-            absolute=max(settings.tolerance.absolute, _ROUGH / 10),
+            relative=max(settings.tolerance.relative, error),
+            absolute=max(settings.tolerance.absolute, error / 10),
         ),
-        completion=ZenoExtrapolation(tolerance=_ROUGH),
+        completion=ZenoExtrapolation(tolerance=error),
         far=tuple(far.tolist()),
     )
 
@@ -328,7 +371,7 @@ def _comes_nearer(graph: GraphDynamics, motion: Execution, found: EventReturn) -
     away = np.max(np.abs(states - found.start) / scale, axis=1)
     if len(away) < 2 or not away[0] < np.min(away[1:]):
         return bool(away[0] < _THERE)
-    if away[0] < _FAST * away[1]:
+    if away[0] < _FAST * away[1] and (len(away) < 3 or away[1] < _HALF * away[2]):
         return True
     # Beside a flip, a motion first comes nearer to the orbit that repels it.
     try:
