@@ -30,7 +30,7 @@ from zeno_orbits.simulation import Extent
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 
-WAY = StepControl(first=0.05, longest=0.05, shortest=1e-4)
+WAY = StepControl(first=0.05, longest=0.05, shortest=1e-5)
 """Steps to a loss, in units of ranges. They may skip a narrower window without an orbit."""
 _DIFFERENCE = 0.02
 """Step of a difference quotient, in units of ranges."""
