@@ -56,6 +56,7 @@ from .events.section import shortest_return as shortest_return
 from .events.section import closed_return as closed_return
 from .events.section import inverse_of_closing as inverse_of_closing
 from .events.section import event_return as event_return
+from .events.section import released_at_start as released_at_start
 from .events.section import event_sections as event_sections
 from .events.section import near_return as near_return
 from .looser_run import LOOSER as LOOSER

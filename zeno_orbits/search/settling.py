@@ -33,6 +33,7 @@ from zeno_orbits.orbits import (
     near_return,
     on_section,
     orbit_event_name,
+    released_at_start,
     settles_at,
     shape_of_events,
     shortest_return,
@@ -276,7 +277,8 @@ def _continued(
                 # A rough state may leave what it has to keep. From the start it does not.
                 pass
             else:
-                return _joined(motion, place, later), is_cut
+                name, since = orbit_event_name(event), motion.end_time
+                return _joined(motion, place, released_at_start(later, name, since)), is_cut
     return simulated_at_most(graph, x, until=until, most_steps=steps, settings=settings)
 
 

@@ -337,7 +337,9 @@ def event_return(
             time=execution.end_time,
             state=tuple(execution.end_state.tolist()),
         )
-    end = times[n_returns - 1]
+    execution = released_at_start(execution, section, guess)
+    end = _times_of(execution, section, guess)[n_returns - 1]
+    start = np.asarray(execution.arcs[0].start_state)
     names = [orbit_event_name(event) for event in execution.events]
     last = next(
         k
@@ -362,6 +364,31 @@ def event_return(
         execution=execution,
         differentiation=EventDerivatives(graph, parameters, exact.tolerance),
     )
+
+
+def released_at_start(execution: Execution, section: str, period: float) -> Execution:
+    """Return an execution from the release with which it begins.
+
+    Rounding may put a start at a release into contact, which then ends at once.
+
+    Args:
+        execution: The execution.
+        section: Name of the event at its start.
+        period: About the time of a period [s].
+    """
+    begin = next(iter(execution.events), None)
+    is_own = begin is not None and orbit_event_name(begin) == section
+    if begin is None or not (isinstance(begin, Release) and is_own):
+        return execution
+    if not begin.time <= _AT_ONCE * period:
+        return execution
+    arcs = [
+        replace(one, start_time=one.start_time - begin.time, end_time=one.end_time - begin.time)
+        for one in execution.arcs
+        if one.start_time >= begin.time
+    ]
+    events = [replace(one, time=one.time - begin.time) for one in execution.events[1:]]
+    return replace(execution, arcs=tuple(arcs), events=tuple(events)) if arcs else execution
 
 
 @lru_cache(maxsize=64)
@@ -655,7 +682,10 @@ def shortest_return(
     """
     section = orbit_event_name(found.events[-1])
     scale = largest_states(found.execution.arcs, graph)
-    marks = [event for event in found.events if orbit_event_name(event) == section]
+    begin = _AT_ONCE * found.period
+    marks = [
+        event for event in found.events if orbit_event_name(event) == section and event.time > begin
+    ]
     for k, event in enumerate(marks[:-1], start=1):
         away = np.max(np.abs(state_after(event) - found.start) / scale)
         if len(marks) % k or not away < _NEAR:
