@@ -277,8 +277,8 @@ def _continued(
                 # A rough state may leave what it has to keep. From the start it does not.
                 pass
             else:
-                name, since = orbit_event_name(event), motion.end_time
-                return _joined(motion, place, released_at_start(later, name, since)), is_cut
+                later = released_at_start(later, orbit_event_name(event))
+                return _joined(motion, place, later), is_cut
     return simulated_at_most(graph, x, until=until, most_steps=steps, settings=settings)
 
 

@@ -322,6 +322,7 @@ def event_return(
     exact = _resolving(settings, completion)
     try:
         execution = simulate(graph, start, until=_WAIT * guess, settings=exact)
+        execution = released_at_start(execution, section)
     except InputError as error:
         # An iterate of Newton's method may lie inside of a stop.
         raise SimulationError(
@@ -330,6 +331,7 @@ def event_return(
     times = _times_of(execution, section, guess)
     if len(times) < n_returns or times[n_returns - 1] == execution.end_time:
         execution = simulate(graph, start, until=_LONGEST * guess, settings=exact)
+        execution = released_at_start(execution, section)
         times = _times_of(execution, section, guess)
     if len(times) < n_returns:
         raise SimulationError(
@@ -337,9 +339,7 @@ def event_return(
             time=execution.end_time,
             state=tuple(execution.end_state.tolist()),
         )
-    execution = released_at_start(execution, section, guess)
-    end = _times_of(execution, section, guess)[n_returns - 1]
-    start = np.asarray(execution.arcs[0].start_state)
+    end, start = times[n_returns - 1], np.asarray(execution.arcs[0].start_state)
     names = [orbit_event_name(event) for event in execution.events]
     last = next(
         k
@@ -366,21 +366,18 @@ def event_return(
     )
 
 
-def released_at_start(execution: Execution, section: str, period: float) -> Execution:
-    """Return an execution from the release with which it begins.
+def released_at_start(execution: Execution, section: str) -> Execution:
+    """Return an execution from the release with which it begins, if that is the section.
 
-    Rounding may put a start at a release into contact, which then ends at once.
+    A start at a release may be in contact for a while: by rounding, or since the contact force
+    rises there. That contact belongs to the start.
 
     Args:
         execution: The execution.
         section: Name of the event at its start.
-        period: About the time of a period [s].
     """
     begin = next(iter(execution.events), None)
-    is_own = begin is not None and orbit_event_name(begin) == section
-    if begin is None or not (isinstance(begin, Release) and is_own):
-        return execution
-    if not begin.time <= _AT_ONCE * period:
+    if not isinstance(begin, Release) or orbit_event_name(begin) != section:
         return execution
     arcs = [
         replace(one, start_time=one.start_time - begin.time, end_time=one.end_time - begin.time)
