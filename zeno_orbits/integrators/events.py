@@ -239,7 +239,7 @@ def _cubic_root(left: float, right: float, low: Pair, high: Pair) -> float:
     """Return the first guess of a root: the root of the cubic interpolant, or else of the chord."""
     # The quotient first: scaled gaps of a flight that goes far reach 1e300.
     drop = 1.0 - high[0] / low[0]
-    at = 1.0 / drop
+    at = 1.0 / drop if drop else math.inf
     if low[1] is not None and high[1] is not None:
         # In units of the value at the left, on [0, 1]: 1 + b x + c x^2 + d x^3.
         b, end = low[1] / low[0] * (right - left), high[1] / low[0] * (right - left)

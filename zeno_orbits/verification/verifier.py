@@ -207,7 +207,8 @@ def _observed(one: Case, settings: VerificationSettings) -> _Observation:
         if not others:
             return math.inf
         later = abs(others[0].end - first.end) / first.end
-        return max(distance(others[0].state, first.state, scale), later)
+        # The rounding of times is no error of the integration.
+        return max(0.0, max(distance(others[0].state, first.state, scale), later) - blur)
 
     error = error_by_repetition(difference, settings.simulation, settings.tolerance)
     return _Observation(run=run, scale=scale, residuals=residuals, integration_error=error)

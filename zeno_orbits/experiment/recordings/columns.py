@@ -11,8 +11,16 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
-from zeno_orbits.errors import InputError, finite_number, not_known, shortened
+from zeno_orbits.errors import (
+    InputError,
+    finite_number,
+    named_numbers,
+    not_known,
+    shortened,
+    shown,
+)
 from zeno_orbits.experiment.recordings.heads import Head
 from zeno_orbits.model.expressions.units import in_si, powers_of
 from zeno_orbits.work import checked, require_kinds
@@ -47,9 +55,16 @@ class ColumnNotes:
     def __post_init__(self) -> None:
         """Refuse values of a wrong kind, a unit that is none, and a rate that is not positive."""
         require_kinds(self)
+        given_texts: dict[str, Mapping[Any, Any]] = {"names": self.names, "units": self.units}
+        for argument, texts in given_texts.items():
+            for title, text in texts.items():
+                if not (isinstance(title, str) and isinstance(text, str)):
+                    wanted = "must map texts to texts"
+                    given = f"{shown(title)}: {shown(text)}"
+                    raise InputError(f"Argument `{argument}` {wanted}, but it has {given}.")
         for name, unit in self.units.items():
             sized(name, unit)
-        for name, zero in self.zeros.items():
+        for name, zero in named_numbers("zeros", self.zeros).items():
             finite_number(f"zeros[{name}]", zero)
         if self.frame_rate is not None and not (
             math.isfinite(self.frame_rate) and self.frame_rate > 0.0
