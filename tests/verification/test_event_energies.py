@@ -410,10 +410,10 @@ def test_events_of_a_ball_that_is_hardly_thrown_are_integrated_finer(
     assert orbit.certificate["passed"]
     # It is thrown where the table falls with the acceleration of gravity, once per turn.
     thrown = next(event for event in orbit.events if event.name == "release stop")
-    # The angle is known to 1e-16 over its distance from the top.
+    # The clock leaves its circle by some 1e-15, which counts over the distance from the top.
     top = math.sqrt(2 * above)
     assert thrown.state["cosine"] == pytest.approx(
-        math.sqrt(1 - (1 + above) ** -2), abs=1e-15 / top
+        math.sqrt(1 - (1 + above) ** -2), abs=3e-15 / top
     )
     assert orbit.period == pytest.approx(2 * math.pi / 30, rel=1e-9)
     for part in (3e-9, 1e-7):

@@ -124,7 +124,7 @@ class Claim:
             view = graph.view((tuple(j for j in closed if j != k), sides), k)
             # An impact or a switch may open other stops. Older files do not list such releases.
             later = self.events[last[name] + 1 :]
-            jumps = kind == "impact" or any(one.name.startswith("switch ") for one in later)
+            jumps = any(one.name.startswith(("switch ", "impact ")) for one in later)
             opened = not leaves and jumps
             if opened and abs(view.gap(self.start)) > _OPENED * view.own.gap:
                 continue

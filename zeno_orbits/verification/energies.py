@@ -65,11 +65,13 @@ def energies_of(graph: GraphDynamics, period: Period, rule: Rule = EXACT) -> Per
     lost = sum(_impact_loss(graph, period, impact) for impact in period.impacts)
     lost += sum(_tail_loss(graph, period, zeno) for zeno in period.zeno_points)
     net, gross = _works(graph, period, rule)
+    # What contact adds in the mean of a tail, its impacts add.
+    added = sum(_added_in(graph, period, arc) for arc in period.arcs if arc.trajectory is None)
     found = {
         "input_work": float(net[0]),
         "copper_loss": float(net[1]),
-        "other_loss": float(net[2]),
-        "impact_loss": float(lost),
+        "other_loss": float(net[2] + added),
+        "impact_loss": float(lost - added),
         "energy_gain": first.energy(period.state) - first.energy(period.begin),
     }
     if switches:
@@ -115,6 +117,13 @@ def _nodes(
     ends = arc.flow_states[:, None, :n_x]
     states = np.concatenate([ends[:-1], inside, ends[1:]], axis=1)
     return mode, states.reshape(-1, n_x), arc.time_unit * (halves * weights).ravel()
+
+
+def _added_in(graph: GraphDynamics, period: Period, tail: Arc) -> float:
+    """Return the energy that contact adds to further states in the mean of a tail [J]."""
+    held, states, weights = _nodes(graph, period, tail, EXACT)
+    losses = [graph.powers(mode, states)[:, 2] for mode in (tail.mode_in(graph), held)]
+    return float(weights @ (losses[0] - losses[1]))
 
 
 def _largest_kinetic(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> float:
