@@ -108,7 +108,7 @@ def orbit_by_shooting(
             section does not occur.
     """
     try:
-        found = closed_at(
+        found = _closed_at(
             problem,
             values,
             near=near,
@@ -157,7 +157,7 @@ def settled_event_orbit(
         SimulationError: If no motion settles, or Newton's method does not converge.
         InputError: If the section does not occur.
     """
-    found = closed_at(
+    found = _closed_at(
         problem,
         values,
         near=near,
@@ -171,7 +171,7 @@ def settled_event_orbit(
     return event_orbit_of(problem, values, found)
 
 
-def closed_at(
+def _closed_at(
     problem: Problem,
     values: ParameterValues,
     *,

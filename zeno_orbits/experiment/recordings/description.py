@@ -1,4 +1,4 @@
-"""What a file of time series is understood to be: its columns, and what keeps any from counting."""
+"""A file of time series as it was understood: its columns, and what keeps any from counting."""
 
 from __future__ import annotations
 
