@@ -251,7 +251,7 @@ def test_two_runs_with_one_output_do_not_disturb_each_other(tmp_path: Path) -> N
     "words",
     [
         ("continue", "motor_pendulum", "--parameter", "Kd=-2.5:0"),
-        ("search", "motor_pendulum", "--vary", "Kp=1:5", "--objective", "energy"),
+        ("search", "motor_pendulum", "--vary", "Kp=1:5", "--candidates", "3"),
     ],
     ids=lambda words: words[0],
 )
