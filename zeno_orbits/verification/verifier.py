@@ -95,12 +95,14 @@ class _Observation:
         scale: Size of each state along the first period, ``(n_x,)``, empty without a period.
         residuals: Residuals of this integration.
         integration_error: Relative difference from an integration at a looser tolerance.
+        blur: The part of it that the rounding of times explains.
     """
 
     run: Run
     scale: Vector
     residuals: Mapping[str, float]
     integration_error: float = math.inf
+    blur: float = 0.0
 
     @property
     def first(self) -> Period | None:
@@ -110,7 +112,12 @@ class _Observation:
     @property
     def worst(self) -> float:
         """The largest residual or error."""
-        return max(*self.residuals.values(), self.integration_error)
+        return max(*self.residuals.values(), self.integration)
+
+    @property
+    def integration(self) -> float:
+        """The part of the error that tolerances cause."""
+        return max(0.0, self.integration_error - self.blur)
 
 
 def verify(
@@ -207,11 +214,12 @@ def _observed(one: Case, settings: VerificationSettings) -> _Observation:
         if not others:
             return math.inf
         later = abs(others[0].end - first.end) / first.end
-        # The rounding of times is no error of the integration.
-        return max(0.0, max(distance(others[0].state, first.state, scale), later) - blur)
+        return max(distance(others[0].state, first.state, scale), later)
 
     error = error_by_repetition(difference, settings.simulation, settings.tolerance)
-    return _Observation(run=run, scale=scale, residuals=residuals, integration_error=error)
+    return _Observation(
+        run=run, scale=scale, residuals=residuals, integration_error=error, blur=blur
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -258,7 +266,7 @@ def _cross_checks(
     if problem.escapes:
         beyond = escapes_of(problem, largest_along(first)).values()
         residuals["escape"] = max((excess for excess, _ in beyond), default=0.0)
-    residuals["integration"] = seen.integration_error
+    residuals["integration"] = seen.integration
     quantities = first.quantities(graph).table().items()
     return _CrossChecks(
         residuals=residuals,

@@ -649,7 +649,7 @@ def _is_closed(graph: GraphDynamics, found: EventReturn, size: float, exact: flo
     """
     arcs = found.execution.arcs
     scale = largest_states(arcs, graph)
-    if not np.max(np.abs(found.end - found.start) / scale) <= _MISSED:
+    if not np.max(np.abs(found.end - found.start) / scale) <= max(_MISSED, 10.0 * exact):
         return False
     return size <= max(1e-10, exact) or size <= time_blur(arcs, graph, found.period, scale)
 
