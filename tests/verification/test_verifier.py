@@ -529,7 +529,9 @@ def test_a_return_that_a_looser_integration_does_not_confirm_fails_alone(
     careless = SimulationSettings(engine=_Careless())
     seen = verify(orbit, problem, settings=replace(QUICK, simulation=careless))
     assert seen.failed == ("integration",)
-    assert seen.integration_error == seen.residuals["integration"] > 1e-8
+    # The residual lacks what the rounding of times explains.
+    assert 1e-8 < seen.residuals["integration"] <= seen.integration_error
+    assert seen.residuals["integration"] == pytest.approx(seen.integration_error, rel=1e-3)
 
 
 @dataclass(frozen=True, kw_only=True)
