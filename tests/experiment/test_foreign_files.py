@@ -77,6 +77,13 @@ FILES = {
         (-0.01, -0.008),
         {"CH1": ("V", 0.04, 4.96)},
     ),
+    "a preamble of numbers": Foreign(
+        "Model,TBS1072\nRecord Length,2500\nInterval,4e-6\nTrigger,0.5\nTIME,CH1\n"
+        "-0.01,0.04\n-0.008,4.96\n-0.006,4.9\n",
+        zo.ColumnNotes(units={"TIME": "s", "CH1": "V"}),
+        (-0.01, -0.006),
+        {"CH1": ("V", 0.04, 4.9)},
+    ),
     "an oscilloscope with values beside its preamble": Foreign(
         "Record Length,2500,Points,-0.001,0.5,\nInterval,4e-6,s,-0.0009,0.6,\n,,,-0.0008,0.7,\n",
         zo.ColumnNotes(names={"4": "time", "5": "CH1"}, units={"time": "s", "CH1": "V"}),
@@ -213,8 +220,22 @@ def test_notes_that_do_not_fit_are_refused(name: str, tmp_path: Path) -> None:
         describe_recording(path, columns=zo.ColumnNotes(**given))
 
 
-def test_an_interval_of_text_and_numbers_stays_an_error(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("wrong", "column"), [("2,lost", "x"), ("lost,2", "time"), ("lost,lost", "time")]
+)
+@pytest.mark.parametrize("after", ["", "3,4\n4,5\n"])
+def test_a_wrong_line_among_values_stays_an_error(
+    wrong: str, column: str, after: str, tmp_path: Path
+) -> None:
     path = tmp_path / "data.csv"
-    path.write_text("time [s],x [m]\n0,1\n1,2\n2,lost\n")
-    with pytest.raises(DataFileError, match="line 4 has `lost` where column `x"):
+    path.write_text(f"time [s],x [m]\n0,1\n1,2\n{wrong}\n{after}")
+    with pytest.raises(DataFileError, match=f"line 4 has `lost` where column `{column}"):
         read_recording(path)
+
+
+def test_values_above_a_wrong_line_are_not_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text("1000,512\n1010,lost\n1020,533\n1030,540\n")
+    notes = zo.ColumnNotes(names={"1": "time", "2": "a"}, units={"time": "ms", "a": "deg"})
+    with pytest.raises(DataFileError, match="line 1 holds numbers in place of the column titles"):
+        read_recording(path, columns=notes)

@@ -1,7 +1,7 @@
 """The head of a table of values in a text file: its separator, its titles, and where values begin.
 
 Instruments write lines of their own above the titles, and some write the units in a line below
-them. Values begin at the first of two lines that have numbers in the same columns.
+them. Values begin at the first line whose columns of numbers go on.
 """
 
 from __future__ import annotations
@@ -107,15 +107,10 @@ def _above_values(
     best: tuple[int, int, str] | None = None
     for separator in _SEPARATORS:
         rows = [_parts(text, separator) for _, text in lines]
-        for k, row in enumerate(rows):
-            after = rows[k + 1] if k + 1 < len(rows) else row
-            found = _numbers(row)
-            n_found = sum(found)
-            if len(row) < 2 or not n_found or _holds_text(row, after):
-                continue
-            if best is None or n_found > best[0]:
-                best = n_found, k, separator
-            break
+        first = next((k for k, row in enumerate(rows) if _go_on(row, rows[k + 1 :])), None)
+        n_found = 0 if first is None else sum(_numbers(rows[first]))
+        if first is not None and (best is None or n_found > best[0]):
+            best = n_found, first, separator
     if best is None:
         return None
     _, first, separator = best
@@ -136,7 +131,10 @@ def _head_at(
     last = lines[first - 1][0] if first else lines[0][0] - 1
     above = [_parts(text, separator) for _, text in lines[max(0, first - 2) : first]]
     titles = above[-1] if above and _names(above[-1], values) else None
-    if titles is None and not untitled:
+    # A wrong line among the values is no line of titles, and those above it are not left out.
+    numbers = [_numbers(row) for row in above]
+    is_cut = titles is None and bool(above) and len(above[-1]) == len(values) and any(numbers[-1])
+    if is_cut or (titles is None and not untitled) or _numbers(values) in numbers[:-1]:
         return None
     head = Head(
         comments=comments,
@@ -193,17 +191,18 @@ def _numbers(row: Sequence[str], *, missing: bool = False) -> tuple[bool, ...]:
     )
 
 
-def _holds_text(row: Sequence[str], after: Sequence[str]) -> bool:
-    """Return True if the line after another has text where that has numbers, or other columns."""
-    fits = abs(len(row) - len(after)) <= 1 or len(after) < len(row)
-    now, later = _numbers(row), _numbers(after)
-    return (
-        not fits
-        or not any(one and other for one, other in zip(now, later, strict=False))
-        or not all(
-            other for one, other in zip(now, _numbers(after, missing=True), strict=False) if one
-        )
-    )
+def _go_on(row: Sequence[str], later: Sequence[Sequence[str]]) -> bool:
+    """Return True if a line has numbers, and later lines have numbers or gaps in their columns."""
+    here = _numbers(row)
+    if len(row) < 2 or not any(here):
+        return False
+    for other in later:
+        there, gaps = _numbers(other), _numbers(other, missing=True)
+        both = [one and two for one, two in zip(here, there, strict=False)]
+        kept = all(two for one, two in zip(here, gaps, strict=False) if one)
+        if not (kept and any(both) and len(other) <= len(row) + 1):
+            return False
+    return True
 
 
 def _parts(text: str, separator: str) -> list[str]:
