@@ -159,9 +159,9 @@ def test_search_ranks_attractors_that_coexist_and_prints_where_it_looked() -> No
 
 @pytest.mark.slow
 def test_orbits_that_are_not_stable_are_not_ranked() -> None:
-    # From A = 3.5 the least loss belongs to an orbit that repels.
+    # From A = 4.1 the least loss belongs to an orbit that repels.
     words = ("search", "clapper", *IMPACT_PAIR[:4], "--set", "restitution=0.7")
-    words = (*words, "--set", "omega=1.5", "--set", "A=3.5", "--vary", "A=3.5:4.5")
+    words = (*words, "--set", "omega=1.5", "--set", "A=4.1", "--vary", "A=3.65:4.2")
     words = (*words, "--objective", "impacts", "--candidates", "2")
     data = ask(*words, "--n-starts", "3", "--json").data
     radii = [

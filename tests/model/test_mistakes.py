@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import pytest
 
 import zeno_orbits as zo
@@ -317,6 +318,18 @@ def test_an_error_of_a_derivation_names_the_file_and_the_line(tmp_path: Path) ->
 
 def _asks(p: Mapping[str, object]) -> object:
     return p["absent"]
+
+
+def test_a_completed_system_with_replaced_formulas_is_refused() -> None:
+    # Its modes are made from the mechanism and the drive, which lack the new formula.
+    known = zo.load_problem("vibrating_table")
+
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        system = known.model(p)
+        return replace(system, free_flow=system.free_flow * 2)
+
+    with pytest.raises(zo.InputError, match="as it is, but formulas of it are replaced"):
+        zo.find_orbit_by_shooting(replace(known, name="changed", model=model))
 
 
 @pytest.mark.parametrize(

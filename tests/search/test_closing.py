@@ -14,6 +14,7 @@ import pytest
 
 from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import PERIOD, PERIODS, RELEASE, ZENO_STATE, ZENO_TIME
+from tests.support import sheets
 from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
@@ -421,3 +422,11 @@ def test_an_orbit_of_a_period_counts_its_times_from_its_start(problem: Problem) 
     assert [*two.impacts[0].state_minus.values()] == states[3].tolist()
     assert (one.zeno_time, one.zeno_state, two.zeno_time) == (None, None, 2.5)
     assert two.zeno_state == dict(zip(problem.state_names, states[5], strict=True))
+
+
+def test_an_orbit_with_a_state_that_decays_to_nothing_is_closed() -> None:
+    # Only rounding is left of the further state, which then changes by many times its size.
+    machine = sheets.problem_of("three sheets", 0.0)
+    orbit = orbit_by_shooting(machine, machine.values()).unwrap()
+    assert orbit.period == pytest.approx(2 * math.pi, rel=1e-12)
+    assert abs(orbit.start_state["y"]) < 1e-12

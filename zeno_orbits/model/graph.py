@@ -73,8 +73,8 @@ def hybrid_system(
             raise ValueError("Argument `restitution` is missing: the third one of `hybrid_system`.")
         one = completed(lagrangian, drive, ca.SX(restitution))
         if switches is None and not any(kinks_of(one.mechanism, one.drive, one.state)):
-            return one
-        return replace(one, graph=graph_of_one_stop(one, switches or ()))
+            return one.as_built()
+        return replace(one, graph=graph_of_one_stop(one, switches or ())).as_built()
     if restitution is not None and not lagrangian.stops:
         raise ValueError(
             "Argument `restitution` must be left out of a machine without a stop. If it has one, "
@@ -85,7 +85,7 @@ def hybrid_system(
             "Argument `restitution` must be left out of `hybrid_system`: every stop has its own."
         )
     one = completed(lagrangian, drive, ca.SX(watched(lagrangian.stops)[0].restitution))
-    return replace(one, graph=_graph(one, lagrangian.stops, tuple(switches or ())))
+    return replace(one, graph=_graph(one, lagrangian.stops, tuple(switches or ()))).as_built()
 
 
 def graph_of_one_stop(one: CompletedSystem, switches: Sequence[Switch] = ()) -> ModeGraph:

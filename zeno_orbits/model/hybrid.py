@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import casadi as ca
@@ -59,6 +59,8 @@ class CompletedSystem:
         drive: Drive of the mechanism.
         graph: All modes of a machine with several stops or switches, or ``None``. The other fields
             then describe its first stop alone.
+        is_built: Whether it is as `hybrid_system` returns it. A copy with other formulas is not: no
+            mechanism and no drive has them, and the modes are made from these.
     """
 
     n_q: int
@@ -85,6 +87,12 @@ class CompletedSystem:
     stop_restitution: ca.SX
     drive: Drive
     graph: ModeGraph | None = None
+    is_built: bool = field(default=False, init=False, repr=False, compare=False)
+
+    def as_built(self) -> CompletedSystem:
+        """Return the system, marked as built."""
+        object.__setattr__(self, "is_built", True)
+        return self
 
     @property
     def restitution(self) -> ca.SX:

@@ -722,6 +722,11 @@ def _compiled_graph(problem: Problem) -> CompiledGraph:
     from zeno_orbits.model.numeric.graph_dynamics import CompiledGraph
 
     system, symbols = _built(problem)
+    if not system.is_built:
+        raise InputError(
+            "Argument `model` must return the system of `hybrid_system` as it is, but formulas of "
+            "it are replaced. Change the mechanism, its stops or its drive instead."
+        )
     return CompiledGraph(
         graph=system.graph or graph_of_one_stop(system),
         symbols=symbols,

@@ -67,6 +67,8 @@ _MISSED = 1e-6
 that repels strongly."""
 _ROUNDED = 1e-9
 """Relative correction below which Newton's method ends at a correction that is not smaller."""
+_DECAYED = 1e-6
+"""Share of the largest size of a state, in own sizes, below which it is no unit of a step."""
 _SPACINGS = 4.0
 """Roundings of the times of a period that add up: of two switches, by the clock and by the root."""
 _SHRINKS, _HALVES = 0.1, 0.5
@@ -629,8 +631,10 @@ def closed_return(
             break
         if size <= 0.1 * exact or (is_near and not size < before):
             break
-        if size > 0.5:
-            change *= 0.5 / size
+        # A state that has decayed may change by many times its size.
+        leap = float(np.max(np.abs(change) / graph.own.not_small(scale, _DECAYED)))
+        if leap > 0.5:
+            change *= 0.5 / leap
         x = found.start + change
     if best is None or not _is_closed(graph, best, best_size, exact):
         raise SimulationError(
