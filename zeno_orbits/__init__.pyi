@@ -13,6 +13,7 @@ from .api import enclose_period as enclose_period
 from .api import equilibrium_acceleration as equilibrium_acceleration
 from .api import find_orbit as find_orbit
 from .api import floquet_multipliers as floquet_multipliers
+from .api import return_map as return_map
 from .api import identify as identify
 from .api import largest_push as largest_push
 from .api import parameter_map as parameter_map
@@ -98,6 +99,8 @@ from .orbits.orbit_file import write_orbit as write_orbit
 from .orbits.orbit import Orbit as Orbit
 from .orbits.orbit_file import orbit_from_json as orbit_from_json
 from .orbits.shape import EventSequence as EventSequence
+from .orbits.events.named_map import ReturnMap as ReturnMap
+from .orbits.events.named_map import ReturnSlopes as ReturnSlopes
 from .orbits.stability import Stability as Stability
 from .precision.accuracy import ExecutionWithError as ExecutionWithError
 from .precision.landmark import execution_distance as execution_distance
@@ -194,6 +197,8 @@ __all__ = [
     "Recording",
     "Recovery",
     "RecoverySettings",
+    "ReturnMap",
+    "ReturnSlopes",
     "Rig",
     "RigRun",
     "RigSettings",
@@ -260,6 +265,7 @@ __all__ = [
     "recovery",
     "reduced_model_errors",
     "report_page",
+    "return_map",
     "rig_recording",
     "sample_execution",
     "save_figure",

@@ -80,7 +80,8 @@ def test_results_are_equal_to_their_copies(
 ) -> None:
     orbit = found.unwrap()
     plane = zo.parameter_map("bouncing_ball", x=("g", 5, 10, 2), y=("m", 1, 2, 2))
-    for value in (found, orbit, certificate, plane, zo.floquet_multipliers(orbit)):
+    returns = zo.return_map(orbit)
+    for value in (found, orbit, certificate, plane, zo.floquet_multipliers(orbit), returns):
         assert way(value) == value
     other = zo.floquet_multipliers(orbit)
     assert replace(other, jacobian=other.jacobian + 1e-9) != other

@@ -2,6 +2,7 @@ from .checks import check_certificate as check_certificate
 from .checks import check_certificate_of as check_certificate_of
 from .checks import enclose_period as enclose_period
 from .checks import floquet_multipliers as floquet_multipliers
+from .checks import return_map as return_map
 from .checks import prove as prove
 from .checks import verify as verify
 from .checks import write_proof as write_proof

@@ -22,8 +22,9 @@ from zeno_orbits.work import Progress, read_json, silent
 
 if TYPE_CHECKING:
     from zeno_orbits.model import GraphDynamics, HybridDynamics
-    from zeno_orbits.orbits import Stability
+    from zeno_orbits.orbits import ReturnMap, Stability
     from zeno_orbits.proof import PeriodEnclosure, Proof, ProofVerdict, Replay
+    from zeno_orbits.simulation import SimulationSettings
     from zeno_orbits.verification import OrbitCertificate, VerificationSettings
 
 
@@ -215,3 +216,32 @@ def floquet_multipliers(orbit: Orbit | str | Path, *, problem: Named | None = No
     orbit = any_orbit(orbit)
     used = problem_of(orbit, problem)
     return stability_of(used, orbit, multipliers_of(orbit, used))
+
+
+@front_door
+def return_map(
+    orbit: Orbit | str | Path,
+    section: str | None = None,
+    *,
+    problem: Named | None = None,
+    simulation: SimulationSettings | None = None,
+) -> ReturnMap:
+    """Return the return map of an orbit in named coordinates, with its derivatives.
+
+    Args:
+        orbit: The orbit, or its file.
+        section: Event on whose section the map is taken, such as ``release stop``. The default is
+            the event at which the orbit starts.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        simulation: Accuracy.
+
+    Raises:
+        InputError: If the orbit's problem is not known, or the orbit lacks the event of the section
+            or is not closed.
+        SimulationError: If the simulation does not return to the orbit.
+    """
+    from zeno_orbits.orbits import return_map_of
+
+    orbit = any_orbit(orbit)
+    used = problem_of(orbit, problem)
+    return return_map_of(used, orbit, section=section, simulation=simulation)

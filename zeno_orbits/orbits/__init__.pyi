@@ -20,6 +20,9 @@ from .events.courses import ENERGY as ENERGY
 from .events.courses import EventCourse as EventCourse
 from .events.courses import course_signal_names as course_signal_names
 from .events.courses import is_electrical as is_electrical
+from .events.named_map import ReturnMap as ReturnMap
+from .events.named_map import ReturnSlopes as ReturnSlopes
+from .events.named_map import return_map_of as return_map_of
 from .events.margins import MarginKind as MarginKind
 from .events.margins import Margin as Margin
 from .events.margins import contact_view as contact_view

@@ -187,3 +187,12 @@ def orbit_event_name(event: Event) -> str:
         event: The event.
     """
     return f"{event.kind.word} {event.what}".rstrip()
+
+
+def accumulating_events(names: Sequence[str]) -> dict[str, str]:
+    """Return the Zeno point of each event that accumulates, by names.
+
+    Args:
+        names: Names of all events in order.
+    """
+    return {names[k]: names[phase[-1]] for phase in phases_of_events(names) for k in phase[:-1]}

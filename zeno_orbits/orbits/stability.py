@@ -221,7 +221,7 @@ def stability_of(problem: Problem, orbit: Orbit, multipliers: Multipliers) -> St
     n = len(names)
     lift = np.zeros((n, 0)) if section is None else section.lift[:n]
     scale = np.ones(n) if section is None else section.scale[:n]
-    chosen = _coordinates(lift / scale[:, None])
+    chosen = coordinates_of(lift / scale[:, None])
     here, sizes = lift[chosen], scale[chosen]
     jacobian = here @ multipliers.jacobian @ np.linalg.inv(here)
     relative = np.abs(jacobian * sizes / sizes[:, None])
@@ -242,7 +242,7 @@ def stability_of(problem: Problem, orbit: Orbit, multipliers: Multipliers) -> St
     )
 
 
-def _coordinates(tangent: Vector) -> list[int]:
+def coordinates_of(tangent: Vector) -> list[int]:
     """Return the indices of the states that determine a point of a section best.
 
     Args:

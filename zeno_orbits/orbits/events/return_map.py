@@ -10,7 +10,7 @@ reset of such a state. The return map :math:`P` of a section before a reset :mat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,25 +58,27 @@ _ROWS: dict[str, tuple[int, ...]] = {
 }
 """Kind of an event to the rows of its stop that vanish just after it."""
 
-_Contact = tuple[HybridDynamics, tuple[int, ...]]
-"""A system with one stop, and the rows of its contact that vanish on a section."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Surface:
+class Surface:
     """The set of states at an event.
 
     Attributes:
         graph: The graph of modes.
-        contacts: The stops at the event, with their rows that vanish.
+        mode: The mode before a switch, or after another event.
+        rows: Index of each stop at the event, to the rows of its contact that vanish.
         switch: Index of the switch whose guard vanishes, or ``None``.
-        sides: The side of every kink before the event.
     """
 
     graph: GraphDynamics
-    contacts: tuple[_Contact, ...]
+    mode: GraphMode
+    rows: Mapping[int, tuple[int, ...]]
     switch: int | None
-    sides: tuple[bool, ...]
+
+    @property
+    def contacts(self) -> list[tuple[HybridDynamics, tuple[int, ...]]]:
+        """The dynamics of each stop at the event, with its rows that vanish."""
+        return [(self.graph.holding(self.mode, k), rows) for k, rows in self.rows.items()]
 
     def values(self, x: Vector) -> Vector:
         """Return the conditions, which vanish on the set, the constraints first."""
@@ -84,16 +86,22 @@ class _Surface:
         for view, rows in self.contacts:
             parts.append(conditions(view, rows, x)[: len(rows)])
         if self.switch is not None:
-            parts.append(self.graph.guards(x, self.sides)[0][[self.switch]])
+            parts.append(self.graph.guards(x, self.mode[1])[0][[self.switch]])
         return np.concatenate(parts)
 
-    def gradient(self, x: Vector) -> Vector:
-        """Return the gradient of the conditions, ``(n_conditions, n_x)``."""
-        parts = [differentials_of(self.graph.first, ()).holonomic(x)]
+    def gradient(self, x: Vector, chosen: Sequence[int] = ()) -> Vector:
+        """Return the gradient of the conditions, ``(n_conditions, n_x + k)``.
+
+        Args:
+            x: A state, ``(n_x,)``.
+            chosen: Indices in ``p`` of the parameters, ``(k,)``.
+        """
+        chosen = tuple(chosen)
+        parts = [differentials_of(self.graph.first, chosen).holonomic(x)]
         for view, rows in self.contacts:
-            parts.append(differentials_of(view, ()).contact(x)[list(rows)])
+            parts.append(differentials_of(view, chosen).contact(x)[list(rows)])
         if self.switch is not None:
-            gradient = self.graph.guard_gradient(self.switch, x, (), self.sides)
+            gradient = self.graph.guard_gradient(self.switch, x, chosen, self.mode[1])
             parts.append(gradient[None, :])
         return np.concatenate(parts)
 
@@ -103,11 +111,29 @@ class _Surface:
             return x
         return self.graph.after_switch(self.switch, x)
 
-    def reset_derivative(self, x: Vector) -> Vector:
-        """Return its derivative, ``(n_x, n_x)``."""
+    def reset_derivative(self, x: Vector, chosen: Sequence[int] = ()) -> Vector:
+        """Return its derivative, ``(n_x, n_x + k)``.
+
+        Args:
+            x: A state, ``(n_x,)``.
+            chosen: Indices in ``p`` of the parameters, ``(k,)``.
+        """
         if self.switch is None or self.switch >= self.graph.n_declared:
-            return np.eye(x.size)
-        return self.graph.reset_derivative(self.switch, x, ())
+            return np.eye(x.size, x.size + len(chosen))
+        return self.graph.reset_derivative(self.switch, x, chosen)
+
+    def occurs(self, x: Vector) -> bool:
+        """Return True if a motion in the mode of the set has the event at one of its states."""
+        graph, switch = self.graph, self.switch
+        if switch is None:
+            # The simulation starts after the event, and another mode has other events.
+            return True
+        declared = switch < graph.n_declared
+        above = declared or self.mode[1][switch - graph.n_declared]
+        falls = graph.guard_flow(self.mode, switch, above).guard(x)[1] < 0.0
+        armed = not declared or graph.guards(x, self.mode[1])[2][switch] > 0.0
+        held = all(view.multiplier(x) > 0.0 for view, _ in self.contacts)
+        return bool(falls and armed and held)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +145,6 @@ class EventChart:
         orbit: The orbit.
         settings: Accuracy.
         mode: The mode at the start of the period.
-        before: The mode just before it.
         surface: The section.
         section: The chart of the section around the orbit.
         slope: Derivative of the return map at the orbit, ``(d, d)``.
@@ -130,8 +155,7 @@ class EventChart:
     orbit: Orbit
     settings: SimulationSettings
     mode: SectionMode
-    before: GraphMode
-    surface: _Surface
+    surface: Surface
     section: Section
     slope: Vector
     drift: float
@@ -149,29 +173,16 @@ class EventChart:
         """
         start = self._start(coordinates)
         found = _next_return(self.graph, self.orbit, start, self.settings, self.mode)
-        return self.section.coordinates(_on_surface(_cause_at(found, found.period)))
+        return self.section.coordinates(on_surface(cause_at(found, found.period)))
 
     def _start(self, coordinates: Vector) -> Vector:
         """Return the state just after the event at section coordinates, ``(n_x,)``."""
         x = self.section.root(self.surface.values, coordinates, self.surface.gradient)
         off = self.section.normal @ self.surface.values(x)
-        if np.max(np.abs(off), initial=0.0) > _ON or not self._occurs(x):
+        if np.max(np.abs(off), initial=0.0) > _ON or not self.surface.occurs(x):
             reason = f"The event `{self.orbit.section}` does not occur here"
             raise SimulationError(reason, time=0.0, state=tuple(x.tolist()))
         return self.surface.reset(x)
-
-    def _occurs(self, x: Vector) -> bool:
-        """Return True if a motion in the mode of the orbit reaches the event at a state."""
-        graph, switch = self.graph, self.surface.switch
-        if switch is None:
-            # The simulation starts after the event, and another mode has other events.
-            return True
-        declared = switch < graph.n_declared
-        above = declared or self.before[1][switch - graph.n_declared]
-        falls = graph.guard_flow(self.before, switch, above).guard(x)[1] < 0.0
-        armed = not declared or graph.guards(x, self.before[1])[2][switch] > 0.0
-        held = all(view.multiplier(x) > 0.0 for view, _ in self.surface.contacts)
-        return bool(falls and armed and held)
 
 
 def event_chart(
@@ -193,15 +204,12 @@ def event_chart(
     arcs = found.execution.arcs
     # A state that has decayed gets the size of the other states with its unit.
     scale = scale_of([largest_states(arcs, graph)], units, graph.own.states(x.size))
-    cause = _cause_at(found, found.period)
-    last, _ = _arcs_at(found, cause.time)
     surface, section, slope = _slope(graph, found, scale)
     return EventChart(
         graph=graph,
         orbit=orbit,
         settings=settings,
         mode=found.mode,
-        before=last.mode_in(graph),
         surface=surface,
         section=section,
         slope=slope,
@@ -235,7 +243,7 @@ def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[com
     # Events of one kind between the same modes have sections of one dimension.
     causes: dict[tuple[str, tuple[str, ...], tuple[str, ...]], Event] = {}
     for time in {found.events[phase[-1]].time for phase in phases}:
-        cause = _cause_at(found, time)
+        cause = cause_at(found, time)
         before, after = _arcs_at(found, time)
         causes.setdefault((orbit_event_name(cause), before.closed, after.closed), cause)
     for cause in causes.values():
@@ -297,14 +305,14 @@ def derivative_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[str,
         Name of the event, chart, and derivative, ``(d, d)``.
     """
     _, section, slope = _slope(graph, found, largest_states(found.execution.arcs, graph))
-    return orbit_event_name(_cause_at(found, found.period)), section, slope
+    return orbit_event_name(cause_at(found, found.period)), section, slope
 
 
 def _slope(
     graph: GraphDynamics, found: EventReturn, scale: Vector
-) -> tuple[_Surface, Section, Vector]:
+) -> tuple[Surface, Section, Vector]:
     """Return the section of a periodic return, its chart, and the derivative in it, ``(d, d)``."""
-    cause = _cause_at(found, found.period)
+    cause = cause_at(found, found.period)
     surface, section = _section_at(graph, found, cause, scale)
     is_switch = isinstance(cause, SwitchEvent)
     carried = found.shifts[found.events.index(cause)].state if is_switch else found.by_state
@@ -314,10 +322,10 @@ def _slope(
 
 def _section_at(
     graph: GraphDynamics, found: EventReturn, cause: Event, scale: Vector
-) -> tuple[_Surface, Section]:
+) -> tuple[Surface, Section]:
     """Return the section of an event of a return, and its chart."""
-    surface = _surface_at(graph, cause, *_arcs_at(found, cause.time))
-    centre = _on_surface(cause)
+    surface = surface_of(graph, found, cause)
+    centre = on_surface(cause)
     return surface, section_of(surface.gradient(centre) * scale, centre, scale)
 
 
@@ -328,7 +336,7 @@ def _arcs_at(found: EventReturn, time: float) -> tuple[Arc, Arc]:
     return before, [arc for arc in arcs if arc.start_time <= time][-1]
 
 
-def _cause_at(found: EventReturn, time: float) -> Event:
+def cause_at(found: EventReturn, time: float) -> Event:
     """Return the event at a time of which other events at this time are consequences.
 
     A contact has conditions of its own, even if another event causes it.
@@ -358,26 +366,25 @@ def _next_return(
     )
 
 
-def _on_surface(event: Event) -> Vector:
+def on_surface(event: Event) -> Vector:
     """Return the state of an event on its section, ``(n_x,)``."""
     return state_before(event) if isinstance(event, SwitchEvent) else state_after(event)
 
 
-def _surface_at(graph: GraphDynamics, event: Event, before: Arc, after: Arc) -> _Surface:
-    """Return the section of an event.
+def surface_of(graph: GraphDynamics, found: EventReturn, event: Event) -> Surface:
+    """Return the section of an event of a return.
 
     Args:
         graph: The graph of modes.
-        event: The event.
-        before: The arc that ends at the event.
-        after: The arc that starts there.
+        found: The return.
+        event: The event, which no other event at its time causes.
     """
+    before, after = _arcs_at(found, event.time)
     kind, _, name = orbit_event_name(event).partition(" ")
-    closed, sides = mode = before.mode_in(graph)
+    closed, _ = mode = before.mode_in(graph)
     if kind == "switch":
-        held = tuple((graph.holding(mode, k), REST_ROWS) for k in closed)
-        switch = graph.switch_names.index(name)
-        return _Surface(graph=graph, contacts=held, switch=switch, sides=sides)
+        held = dict.fromkeys(closed, REST_ROWS)
+        return Surface(graph=graph, mode=mode, rows=held, switch=graph.switch_names.index(name))
     # An impact may open other stops. Their gaps are zero after it.
     rows: dict[int, tuple[int, ...]] = dict.fromkeys(closed, IMPACT_ROWS)
     closed, _ = mode = after.mode_in(graph)
@@ -386,5 +393,4 @@ def _surface_at(graph: GraphDynamics, event: Event, before: Arc, after: Arc) -> 
     if graph.holding(mode, struck).restitution == 0.0 and kind == "impact":
         rows[struck] = REST_ROWS
     rows.update((k, REST_ROWS) for k in closed)
-    contacts = tuple((graph.holding(mode, k), chosen) for k, chosen in rows.items())
-    return _Surface(graph=graph, contacts=contacts, switch=None, sides=sides)
+    return Surface(graph=graph, mode=mode, rows=rows, switch=None)

@@ -31,9 +31,9 @@ from zeno_orbits.orbits.section import (
     section_of,
 )
 from zeno_orbits.orbits.sequences import (
+    accumulating_events,
     caused_releases,
     orbit_event_name,
-    phases_of_events,
     sequence_as_listed,
     sequence_of,
 )
@@ -232,6 +232,14 @@ class EventReturn:
     def shifts(self) -> tuple[SaltationDerivative, ...]:
         """Derivatives of every event, with the state before it. Columns: start, parameters."""
         return self._derivatives[1]
+
+    @property
+    def landing(self) -> SaltationDerivative:
+        """Derivatives of the last event, with the state after it. Columns: start, parameters.
+
+        They are those of starts in the section, which moves with the parameters.
+        """
+        return self._derivatives[0]
 
     @property
     def mode(self) -> SectionMode:
@@ -885,7 +893,7 @@ def near_return(
     # The transient may have Zeno points that the orbit lacks.
     half = execution.end_time / 2
     late = {orbit_event_name(event) for event in execution.events if event.time > half}
-    limit = _limits(names).get(section or "")
+    limit = accumulating_events(names).get(section or "")
     if limit in late:
         raise InputError(
             f"Argument `section` must not be `{section}`, whose events accumulate: take `{limit}`."
@@ -977,15 +985,6 @@ def _is_at_rest(execution: Execution, graph: GraphDynamics, since: float) -> boo
     return bool(np.all((np.ptp(states, axis=0) / sizes)[moving] < _STILL))
 
 
-def _limits(names: Sequence[str]) -> dict[str, str]:
-    """Return the Zeno point of each event that accumulates, by names.
-
-    Args:
-        names: Names of all events in order.
-    """
-    return {names[k]: names[phase[-1]] for phase in phases_of_events(names) for k in phase[:-1]}
-
-
 def settles_at(execution: Execution, graph: GraphDynamics, section: str | None) -> float | None:
     """Return the time at which a motion is near an orbit, extrapolated from its returns [s].
 
@@ -1042,7 +1041,7 @@ def event_sections(execution: Execution, graph: GraphDynamics) -> list[str]:
     """
     declared = graph.switch_names[: graph.n_declared]
     passed = [orbit_event_name(event) for event in execution.events]
-    names, limits = list(dict.fromkeys(passed)), _limits(passed)
+    names, limits = list(dict.fromkeys(passed)), accumulating_events(passed)
     switches = [
         orbit_event_name(event)
         for event in execution.switches

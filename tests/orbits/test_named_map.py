@@ -1,0 +1,238 @@
+"""The return map in named coordinates: closed forms, differences, sections, and wrong input."""
+
+from __future__ import annotations
+
+import cmath
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.support.cases import fast
+from tests.support.pages import ROOT, blocks
+from zeno_orbits.errors import InputError, SimulationError
+
+HOPPER = {"m": 1.0, "a": 20.0, "s": 0.1, "restitution": 0.5, "g": 9.81}
+
+
+def _hop(w: complex, p: dict[str, complex]) -> tuple[complex, complex]:
+    """Return the speed after the next impact and the time until then, from the one before."""
+    up = cmath.sqrt(w**2 + 2 * (p["a"] - p["g"]) * p["s"])
+    down = cmath.sqrt(w**2 + 2 * p["a"] * p["s"])
+    return p["restitution"] * down, (up - w) / (p["a"] - p["g"]) + (up + down) / p["g"]
+
+
+def _by_complex_step(w: float, name: str) -> tuple[float, float]:
+    p: dict[str, complex] = {**HOPPER}
+    start = complex(w)
+    if name == "w":
+        start += 1e-20j
+    else:
+        p[name] += 1e-20j
+    speed, time = _hop(start, p)
+    return speed.imag / 1e-20, time.imag / 1e-20
+
+
+@pytest.fixture(scope="module")
+def hopper() -> zo.ReturnMap:
+    assert dict(zo.load_problem("hopper").values().parameters) == HOPPER
+    return zo.return_map(zo.find_event_orbit("hopper"))
+
+
+def test_map_and_derivatives_of_the_hopper_are_its_closed_forms(hopper: zo.ReturnMap) -> None:
+    assert hopper.coordinates == ("speed",)
+    for w in (hopper.fixed_point[0], 0.6, 2.5):
+        found = hopper.slopes([w])
+        speed, time = _hop(w, {**HOPPER})
+        assert found.point == pytest.approx([speed.real], rel=1e-12)
+        assert hopper.map([w]) == pytest.approx([speed.real], rel=1e-12)
+        assert found.time == pytest.approx(time.real, rel=1e-12)
+        by_speed, time_by_speed = _by_complex_step(w, "w")
+        assert found.jacobian == pytest.approx(np.array([[by_speed]]), rel=1e-10)
+        assert found.time_jacobian[0] == pytest.approx(time_by_speed, rel=1e-10)
+        for k, name in enumerate(hopper.parameter_names):
+            wanted = _by_complex_step(w, name)
+            assert found.parameter_jacobian[0, k] == pytest.approx(wanted[0], rel=1e-10, abs=1e-12)
+            assert found.time_jacobian[1 + k] == pytest.approx(wanted[1], rel=1e-10, abs=1e-12)
+
+
+def test_values_of_a_map_hold_until_the_return(hopper: zo.ReturnMap) -> None:
+    values = {"a": 25.0, "restitution": 0.4}
+    speed, _ = _hop(1.2, {**HOPPER, **values})
+    assert hopper.map([1.2], parameters=values) == pytest.approx([speed.real], rel=1e-12)
+    full = [{**HOPPER, **values}[name] for name in hopper.parameter_names]
+    assert hopper.map([1.2], parameters=full) == hopper.map([1.2], parameters=values)
+    assert hopper.map([1.2]) != hopper.map([1.2], parameters=values)
+
+
+MACHINES: dict[str, dict[str, Any]] = {
+    "motor_pendulum": {"gains": {"Kp": 2.5, "Kd": -1.1}},
+    "clapper": {},
+    "relay": {},
+    "powered_walker": {},
+    "limited_pendulum": {},
+    "kneed_walker": {},
+    "sampled_pendulum": {},
+}
+
+
+def _difference(work: Any, size: float) -> Any:
+    """Return a central difference of the fourth order."""
+    near, far = work(size) - work(-size), work(2 * size) - work(-2 * size)
+    return (8 * near - far) / (12 * size)
+
+
+@pytest.mark.parametrize("name", fast(2, MACHINES))
+def test_derivatives_are_those_of_differences(name: str) -> None:
+    found = zo.return_map(zo.find_event_orbit(name, **MACHINES[name]))
+    x, size = found.fixed_point, 1 + np.abs(found.jacobian)
+    assert found.map(x) == pytest.approx(x, rel=1e-11, abs=1e-12)
+    assert np.all(found.errors < 1e-7 * size)
+    for k, unit in enumerate(np.eye(len(x))):
+        seen = _difference(lambda s, e=unit: found.map(x + s * e), 1e-5 * max(abs(x[k]), 1e-2))
+        assert seen == pytest.approx(found.jacobian[:, k], rel=3e-7, abs=3e-7)
+        assert found.jvp(x, unit) == pytest.approx(found.jacobian[:, k], rel=1e-12, abs=1e-12)
+    for names, slopes, group in (
+        (found.gain_names, found.gain_jacobian, "gains"),
+        (found.parameter_names[:3], found.parameter_jacobian, "parameters"),
+    ):
+        for k, one in enumerate(names):
+            own = found.values.number(one)
+
+            def moved(s: float, one: str = one, own: float = own, group: str = group) -> Any:
+                values: dict[str, Any] = {group: {one: own + s}}
+                return found.map(x, **values)
+
+            seen = _difference(moved, 1e-5 * max(abs(own), 1e-3))
+            assert seen == pytest.approx(slopes[:, k], rel=1e-6, abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def pendulum() -> zo.Orbit:
+    return zo.find_event_orbit("motor_pendulum", gains={"Kp": 2.5, "Kd": -1.1})
+
+
+def test_sections_of_an_orbit_have_the_same_multipliers(pendulum: zo.Orbit) -> None:
+    maps = [zo.return_map(pendulum, section) for section in ("release stop", "zeno stop")]
+    release, zeno = ([mu for mu in one.multipliers if abs(mu) > 1e-9] for one in maps)
+    assert release == pytest.approx(zeno, rel=1e-9)
+    assert [one.event for one in maps] == ["release stop", "zeno stop"]
+    assert zo.floquet_multipliers(pendulum).spectral_radius == pytest.approx(
+        abs(release[0]), rel=1e-9
+    )
+
+
+def test_gradients_are_adjoint_to_changes(pendulum: zo.Orbit) -> None:
+    found = zo.return_map(pendulum)
+    rng = np.random.default_rng(1)
+    change, weights = rng.normal(size=(2, len(found.fixed_point)))
+    by_gains, by_parameters = {"Kp": 0.3, "Kd": -0.2}, {"restitution": 0.1}
+    x = found.fixed_point * 1.001
+    moved = found.jvp(x, change, by_gains, by_parameters)
+    point, gains, parameters = found.vjp(x, weights)
+    place = found.parameter_names.index("restitution")
+    told = point @ change + gains @ [0.3, -0.2] + 0.1 * parameters[place]
+    assert weights @ moved == pytest.approx(told, rel=1e-10)
+
+
+def test_a_point_is_a_state_from_which_the_motion_returns(pendulum: zo.Orbit) -> None:
+    found = zo.return_map(pendulum)
+    x = found.fixed_point * [1.01, 0.99]
+    state = found.state(x)
+    assert found.point(state) == pytest.approx(x, rel=1e-14)
+    motion = zo.simulate(
+        "motor_pendulum", until=1.3 * found.period, start=state, gains=pendulum.gains
+    )
+    release = next(one for one in motion.releases if one.time > 0.5 * found.period)
+    names = zo.load_problem("motor_pendulum").state_names
+    after = dict(zip(names, release.state, strict=True))
+    assert found.point(after) == pytest.approx(found.map(x), rel=1e-9)
+
+
+def test_the_map_of_a_section_that_is_a_point_is_empty() -> None:
+    found = zo.return_map(zo.find_event_orbit("vibrating_table"))
+    assert found.coordinates == ()
+    assert found.map([]).shape == (0,)
+    assert found.jacobian.shape == (0, 0)
+    assert found.multipliers == ()
+    assert found.state([])["height"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_plain_data_has_all_matrices(pendulum: zo.Orbit) -> None:
+    found = zo.return_map(pendulum)
+    data = found.as_json()
+    assert data["jacobian"] == found.jacobian.tolist()
+    assert data["gains"] == ["Kp", "Kd"]
+    assert np.shape(data["gain_jacobian"]) == (2, 2)
+    assert np.shape(data["parameter_jacobian"]) == (2, len(data["parameters"]))
+    assert np.shape(data["time_jacobian"]) == (4 + len(data["parameters"]),)
+    assert "coordinates dtheta1, current" in repr(found)
+
+
+@pytest.mark.parametrize(
+    ("work", "told"),
+    [
+        (lambda one: zo.return_map(one, "impact stop"), "accumulate: take `zeno stop`"),
+        (
+            lambda one: zo.return_map(one, "release floor"),
+            "`section` must be an event of the orbit",
+        ),
+        (lambda one: zo.return_map(one).map([1.0]), "`x` must be 2 finite numbers: dtheta1, curr"),
+        (lambda one: zo.return_map(one).map([1.0, np.nan]), "`x` must be 2 finite numbers"),
+        (lambda one: zo.return_map(one).map([1.0, 1.0], {"kp": 2}), "`gains` has no `kp`. Did you"),
+        (lambda one: zo.return_map(one).map([1.0, 1.0], [2.0]), "`gains` must be 2 numbers"),
+        (
+            lambda one: zo.return_map(one).map([1.0, 1.0], parameters={"restitution": np.inf}),
+            "`parameters` must hold finite numbers",
+        ),
+        (lambda one: zo.return_map(one).vjp([1.0, 1.0], [1.0]), "`weights` must be 2 finite"),
+        (lambda one: zo.return_map(one).point({"current": 1.0}), "`state` must have `dtheta1`"),
+    ],
+)
+def test_wrong_input_is_named(pendulum: zo.Orbit, work: Any, told: str) -> None:
+    with pytest.raises(InputError) as error:
+        work(pendulum)
+    assert told in str(error.value)
+
+
+def test_a_motion_that_does_not_return_is_an_error(pendulum: zo.Orbit) -> None:
+    found = zo.return_map(pendulum)
+    with pytest.raises(SimulationError):
+        found.map(found.fixed_point * 50)
+
+
+def test_an_orbit_that_is_not_closed_has_no_map(pendulum: zo.Orbit) -> None:
+    moved = {**pendulum.start_state, "current": pendulum.start_state["current"] * 1.01}
+    with pytest.raises(InputError, match="must be closed"):
+        zo.return_map(replace(pendulum, start_state=moved))
+
+
+def _block_of_page(name: str, known: dict[str, Any]) -> dict[str, Any]:
+    """Run the block of the page that imports a package, and return its names."""
+    page = ROOT / "docs" / "return_map.md"
+    block = next(one for one in blocks(page) if f"import {name}\n" in one.text)
+    exec(compile(block.text, str(page), "exec"), known)
+    return known
+
+
+def test_the_map_has_gradients_in_jax(pendulum: zo.Orbit) -> None:
+    jax = pytest.importorskip("jax")
+    jax.config.update("jax_enable_x64", True)
+    found = zo.return_map(pendulum)
+    after = _block_of_page("jax", {"returns": found})["after"]
+    gains = np.array([2.5, -1.1])
+    by_point, by_gains = jax.jacrev(after, argnums=(0, 1))(found.fixed_point, gains)
+    assert np.asarray(by_point) == pytest.approx(found.jacobian, rel=1e-12, abs=1e-14)
+    assert np.asarray(by_gains) == pytest.approx(found.gain_jacobian, rel=1e-12, abs=1e-14)
+
+
+def test_the_map_has_gradients_in_torch(pendulum: zo.Orbit) -> None:
+    torch = pytest.importorskip("torch")
+    found = zo.return_map(pendulum)
+    after = _block_of_page("torch", {"returns": found})["After"].apply
+    inputs = (torch.from_numpy(found.fixed_point), torch.tensor([2.5, -1.1], dtype=torch.float64))
+    by_point, by_gains = torch.autograd.functional.jacobian(after, inputs)
+    assert by_point.numpy() == pytest.approx(found.jacobian, rel=1e-12, abs=1e-14)
+    assert by_gains.numpy() == pytest.approx(found.gain_jacobian, rel=1e-12, abs=1e-14)
