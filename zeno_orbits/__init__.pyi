@@ -13,6 +13,7 @@ from .api import enclose_period as enclose_period
 from .api import equilibrium_acceleration as equilibrium_acceleration
 from .api import find_orbit as find_orbit
 from .api import floquet_multipliers as floquet_multipliers
+from .api import design_feedback as design_feedback
 from .api import return_map as return_map
 from .api import identify as identify
 from .api import largest_push as largest_push
@@ -99,6 +100,8 @@ from .orbits.orbit_file import write_orbit as write_orbit
 from .orbits.orbit import Orbit as Orbit
 from .orbits.orbit_file import orbit_from_json as orbit_from_json
 from .orbits.shape import EventSequence as EventSequence
+from .maps.feedback import Feedback as Feedback
+from .maps.feedback import HeldMotion as HeldMotion
 from .orbits.events.named_map import ReturnMap as ReturnMap
 from .orbits.events.named_map import ReturnSlopes as ReturnSlopes
 from .orbits.stability import Stability as Stability
@@ -163,9 +166,11 @@ __all__ = [
     "ExecutionPlan",
     "ExecutionWithError",
     "Family",
+    "Feedback",
     "Friction",
     "Gear",
     "HBridge",
+    "HeldMotion",
     "HybridLagrangian",
     "Identification",
     "InputError",
@@ -235,6 +240,7 @@ __all__ = [
     "corrected_drive",
     "crop",
     "describe_recording",
+    "design_feedback",
     "enclose_period",
     "equilibrium_acceleration",
     "execution_distance",

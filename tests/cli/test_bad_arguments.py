@@ -320,6 +320,7 @@ _FILES = {
     "push": (("orbit.json",), "a JSON file", "x.json"),
     "recovery": (("orbit.json",), "a JSON file", "x.json"),
     "stability": (("orbit.json",), "a JSON file", "x.json"),
+    "feedback": (("orbit.json", "--input", "Kp"), "a JSON file", "x.json"),
     "identify": (("orbit.json", "none.csv", "--fit", "R"), "a JSON file", "x.json"),
     "simulate": (("motor_pendulum",), "a table of samples", "x.csv"),
     "rig": (("motor_pendulum",), "a table of samples", "x.csv"),

@@ -43,6 +43,7 @@ SAME = {
     "continue": ["continue_orbit"],
     "push": ["largest_push"],
     "recovery": ["recovery"],
+    "feedback": ["design_feedback"],
     "work-precision": ["work_precision"],
     "rig": ["simulate_rig", "simulate_experiment", "simulate_periods"],
     "compare": ["compare"],

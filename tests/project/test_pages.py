@@ -65,7 +65,8 @@ LONG = {
     f"{name}.md"
     for name in (
         *("README", "accuracy", "examples", "families", "mapping", "measured_data", "no_orbit"),
-        *("export", "gallery", "own_tests", "problems", "prove_an_orbit", "pushes", "report"),
+        *("export", "feedback", "gallery", "own_tests", "problems", "prove_an_orbit"),
+        *("pushes", "report"),
         *("rig", "scale", "searching", "several_stops"),
         *("stability", "tutorial", "tutorial_python", "what_a_proof_proves", "zeno_model"),
     )

@@ -55,6 +55,7 @@ from .orbit_search import start_values as start_values
 from .pages import report_page as report_page
 from .pages import report_subject as report_subject
 from .pictures import plot as plot
+from .pushes import design_feedback as design_feedback
 from .pushes import largest_push as largest_push
 from .pushes import push_settings as push_settings
 from .pushes import recovery as recovery

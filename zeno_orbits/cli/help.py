@@ -15,7 +15,7 @@ COMMANDS = {
     "model": ("problems", "new", "zeno-condition", "reduced-models"),
     "find": ("simulate", "search"),
     "check": ("verify", "stability", "prove"),
-    "explore": ("map", "continue", "push", "recovery", "work-precision"),
+    "explore": ("map", "continue", "push", "recovery", "feedback", "work-precision"),
     "real machines": ("rig", "read", "compare", "identify", "export"),
     "show": ("plot", "figures", "report"),
     "tools": ("cache", "completion"),
@@ -51,6 +51,7 @@ GROUPS = {
             "--interval",
         ),
         *("--kind", "--recording", "--directions", "--phases", "--reach"),
+        *("--inputs", "--method", "--weight", "--multipliers", "--delay", "--extent"),
     ),
     "effort": (
         *("--until", "--n-starts", "--candidates", "--max-points"),

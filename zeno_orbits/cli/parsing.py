@@ -171,6 +171,23 @@ def read_range(text: str) -> Range:
     return Range(name, (_number(low, wanted), _number(high, wanted)))
 
 
+def read_input(text: str) -> tuple[str, tuple[float, float] | None]:
+    """Return name and range from ``NAME`` or ``NAME=LOW:HIGH``."""
+    if "=" not in text:
+        return text, None
+    found = read_range(text)
+    return found.name, found.box
+
+
+def read_multipliers(text: str) -> tuple[complex, ...]:
+    """Return complex numbers from ``MU,...``."""
+    try:
+        return tuple(complex(one.replace(" ", "")) for one in text.split(","))
+    except ValueError as error:
+        wanted = f"must be numbers such as 0.2,0.1 or 0.2+0.1j,0.2-0.1j, but it is `{text}`"
+        raise argparse.ArgumentTypeError(wanted) from error
+
+
 class AxisRange(NamedTuple):
     """A name with the ends of its range, and the number of points if it was given."""
 

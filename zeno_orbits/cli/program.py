@@ -15,6 +15,7 @@ from zeno_orbits.cli.commands.completion import add_completion
 from zeno_orbits.cli.commands.continue_command import add_continue
 from zeno_orbits.cli.commands.costs import add_fidelity, add_trade
 from zeno_orbits.cli.commands.export import add_export
+from zeno_orbits.cli.commands.feedback import add_feedback
 from zeno_orbits.cli.commands.map import add_map
 from zeno_orbits.cli.commands.pictures import add_figures, add_plot
 from zeno_orbits.cli.commands.problems import add_conditions, add_new, add_problems
@@ -45,7 +46,7 @@ from zeno_orbits.work import BUILD_WATCH
 _COMMANDS = (
     *(add_problems, add_new, add_conditions, add_simulate, add_fidelity),
     *(add_search, add_verify, add_prove, add_map, add_continue, add_push),
-    *(add_stability, add_recovery, add_trade, add_rig),
+    *(add_stability, add_recovery, add_feedback, add_trade, add_rig),
     *(
         add_export,
         add_plot,

@@ -4,7 +4,8 @@ Offers: `map_of_plane` of a `Plane` with its two `Axis`: a `ParameterMap` of `At
 an `AttractorClass`; `attractors_at` for any list of numbers; `read_map`, `write_map`,
 `read_boundaries`; `largest_pushes` of an orbit: the `Pushes`, each a `Push`, by `PushSettings`; the
 `least_push` of them, in the `push_units` of a direction; `recovery_of` an orbit: a `Recovery`, by
-`RecoverySettings`; `read_pushes` and `read_recovery`.
+`RecoverySettings`; `read_pushes` and `read_recovery`; `feedback_of` a return map: a `Feedback`
+once per period, with its `HeldMotion`.
 
 Imports: orbits, simulation, loop, model, integrators, work, arrays, errors.
 """

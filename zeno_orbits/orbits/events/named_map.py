@@ -145,6 +145,25 @@ class ReturnMap(TableRepr):
         return dict(zip(self.problem.state_names, self.problem.state_units, strict=True))
 
     @property
+    def sizes(self) -> Vector:
+        """Largest value of each coordinate over the period, or its own scale, ``(d,)``."""
+        return largest_states(self._return.execution.arcs, self._surface.graph)[self._chosen]
+
+    def moves_section(self, name: str) -> bool:
+        """Return True if a gain or parameter moves the section at the orbit.
+
+        A motion on the section is then off it as soon as the value changes.
+
+        Args:
+            name: Name of the gain or parameter.
+        """
+        place = (*self.gain_names, *self.parameter_names).index(name)
+        lift = self._lift(self._surface, self._centre, (place,))
+        scale = largest_states(self._return.execution.arcs, self._surface.graph)
+        size = abs(self.values.number(name)) or 1.0
+        return bool(np.max(np.abs(lift[:-1, -1]) * size / scale) > _ON)
+
+    @property
     def jacobian(self) -> Vector:
         """Derivative of the map at the orbit, ``(d, d)``."""
         return self._by_state.jacobian
@@ -202,9 +221,25 @@ class ReturnMap(TableRepr):
             InputError: If the point or a value is invalid.
             SimulationError: If the motion does not return with the event sequence of the orbit.
         """
+        return self.returned(x, gains, parameters)[0]
+
+    def returned(
+        self, x: Any, gains: Numbers = None, parameters: Numbers = None
+    ) -> tuple[Vector, float]:
+        """Return the coordinates of the next return, ``(d,)``, and the time until then [s].
+
+        Args:
+            x: As for `map`.
+            gains: As for `map`.
+            parameters: As for `map`.
+
+        Raises:
+            InputError: As for `map`.
+            SimulationError: As for `map`.
+        """
         values = self._values(gains, parameters)
         found = self._returned(self._point(x), values, self.simulation, ())[0]
-        return on_surface(cause_at(found, found.period))[self._chosen]
+        return on_surface(cause_at(found, found.period))[self._chosen], found.period
 
     def slopes(self, x: Any, gains: Numbers = None, parameters: Numbers = None) -> ReturnSlopes:
         """Return the next return with its derivatives.

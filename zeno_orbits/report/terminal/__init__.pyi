@@ -35,5 +35,6 @@ from .studies import print_map as print_map
 from .studies import print_pushes as print_pushes
 from .studies import print_recovery as print_recovery
 from .studies import print_reduction_costs as print_reduction_costs
+from .studies import print_feedback as print_feedback
 from .studies import print_stability as print_stability
 from .studies import print_trade as print_trade

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -33,7 +33,7 @@ from zeno_orbits.work import decimal_below
 
 if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, Family, SpecialCurve, SpecialPoint
-    from zeno_orbits.maps import Attractor, ParameterMap, Pushes, Recovery
+    from zeno_orbits.maps import Attractor, Feedback, ParameterMap, Pushes, Recovery
     from zeno_orbits.orbits import Stability
     from zeno_orbits.precision import ReductionCost, TimedSetting, WorkPrecision
     from zeno_orbits.proof import Proof
@@ -212,6 +212,80 @@ def _print_return_map(found: Stability) -> None:
     print_table([name_column("", heading), *map(number, rows)], rows)
     norm = "largest row sum, coordinates relative to their largest values"
     print_lines([f"Norm of DP ({norm}): {found.norm:.4g}"])
+
+
+def print_feedback(found: Feedback, extents: Mapping[str, tuple[float, float]]) -> None:
+    """Print a feedback: its matrix, its multipliers, and the disturbances that decay.
+
+    Args:
+        found: The feedback.
+        extents: Coordinate to its largest disturbances, relative to its largest value.
+    """
+    known = found.returns
+    keeps = "keeps" if found.stable else "does not keep"
+    when = ", one return after the measurement" if found.delay else ""
+    print_lines(
+        [
+            f"Feedback of {known.problem.name} by {', '.join(found.inputs)} at `{known.event}`"
+            f"{when}: {keeps} the orbit",
+            "Each input is its value in the orbit, minus the sum of coefficient times deviation:",
+        ]
+    )
+
+    def coefficient(k: int) -> Column[int]:
+        name = found.measured[k]
+        heading = with_unit(name, f"[{known.units[name]}]") if name in known.units else name
+        return number_column(f"per {heading}", lambda row: f"{found.gain[row, k]:.6g}")
+
+    print_table(
+        [
+            name_column("input", lambda row: found.inputs[row]),
+            number_column("in the orbit", lambda row: f"{found.centre[row]:.7g}"),
+            text_column("range", lambda row: _range_text(*found.limits[row])),
+            *map(coefficient, range(len(found.measured))),
+        ],
+        range(len(found.inputs)),
+    )
+    before, after = (
+        shown_multipliers(values, 0.0, 6) or "none"
+        for values in (known.multipliers, found.multipliers)
+    )
+    print_lines([f"Multipliers without it: {before}", f"Multipliers with it:    {after}"])
+    print_lines(_ends_of_ranges(found))
+    if extents:
+        columns: list[Column[str]] = [
+            name_column("coordinate", lambda name: name),
+            number_column("in the orbit", lambda name: _in_orbit(found, name)),
+            number_column("returns from", lambda name: _disturbed(found, name, extents[name][0])),
+            number_column("to", lambda name: _disturbed(found, name, extents[name][1])),
+            text_column("unit", lambda name: known.units[name]),
+        ]
+        print_table(columns, list(extents))
+
+
+def _range_text(low: float, high: float) -> str:
+    return f"{low:.7g} to {high:.7g}"
+
+
+def _ends_of_ranges(found: Feedback) -> list[str]:
+    """Return a sentence on each input whose orbit is at an end of its range."""
+    return [
+        f"`{name}` is at an end of its range in the orbit and can change to one side only: give a "
+        f"range with `--input {name}=LOW:HIGH`."
+        for name, value, ends in zip(found.inputs, found.centre, found.limits, strict=True)
+        if value in ends
+    ]
+
+
+def _in_orbit(found: Feedback, name: str) -> str:
+    known = found.returns
+    return f"{known.fixed_point[known.coordinates.index(name)]:.6g}"
+
+
+def _disturbed(found: Feedback, name: str, part: float) -> str:
+    known = found.returns
+    place = known.coordinates.index(name)
+    return f"{known.fixed_point[place] + part * known.sizes[place]:.4g}"
 
 
 def recovery_words(found: Stability) -> list[str]:

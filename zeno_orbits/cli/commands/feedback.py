@@ -1,0 +1,106 @@
+"""The command `feedback`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from zeno_orbits import api
+from zeno_orbits.cli.options import NO, YES, add_command, add_orbit, hand_out
+from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
+from zeno_orbits.cli.parsing import read_input, read_multipliers, read_number
+from zeno_orbits.report import terminal as report
+
+
+def add_feedback(commands: Any) -> None:
+    """Add the command `feedback`."""
+    parser = add_command(
+        commands,
+        "feedback",
+        _run_feedback,
+        "design inputs that are set once per period and keep an orbit, also one that repels",
+        [
+            "zeno-orbits feedback orbit.json --input Kd=-1.9:-1.3",
+            "zeno-orbits feedback orbit.json --input Kp --input Kd --method deadbeat",
+            "zeno-orbits feedback orbit.json --input Kd --extent -o feedback.json",
+        ],
+    )
+    add_orbit(parser)
+    parser.add_argument(
+        "--input",
+        "--inputs",
+        dest="inputs",
+        type=read_input,
+        action="append",
+        required=True,
+        metavar="NAME[=LOW:HIGH]",
+        help="gain or parameter that is held from return to return, and its range (repeatable)",
+    )
+    parser.add_argument(
+        "--section",
+        metavar="EVENT",
+        help="event at which a period starts and ends, and inputs are set (default: the orbit's)",
+    )
+    parser.add_argument(
+        "--method",
+        choices=("lqr", "place", "deadbeat"),
+        default="lqr",
+        help="least squares, chosen multipliers, or multipliers zero (default: lqr)",
+    )
+    parser.add_argument(
+        "--weight",
+        type=read_number,
+        default=1e-3,
+        metavar="W",
+        help="with lqr: cost of a state of its largest value per input of its own (default: 1e-3)",
+    )
+    parser.add_argument(
+        "--multipliers",
+        type=read_multipliers,
+        metavar="MU,...",
+        help="with place: multipliers of the loop, such as 0.2,0.1 or 0.2+0.1j,0.2-0.1j",
+    )
+    parser.add_argument(
+        "--delay", action="store_true", help="apply inputs one return after their measurement"
+    )
+    parser.add_argument(
+        "--extent",
+        action="store_true",
+        help="also find the disturbances of each coordinate from which the motion returns",
+    )
+    parser.add_argument("-o", "--output", type=Path, help="write the result here, as JSON")
+    parser.set_defaults(picture=None)
+
+
+def _run_feedback(options: argparse.Namespace) -> int:
+    require_outputs(options, {"output": JSON, "picture": PICTURE}, reads=[options.orbit])
+    with report.ProgressLine(options.interrupts.check) as progress:
+        found = api.design_feedback(
+            options.orbit,
+            dict(options.inputs),
+            problem=options.problem,
+            section=options.section,
+            method=options.method,
+            weight=options.weight,
+            multipliers=options.multipliers,
+            delay=options.delay,
+        )
+        extents = {
+            name: found.extent(name, on_progress=progress)
+            for name in found.returns.coordinates
+            if options.extent
+        }
+    hand_out(options, _Data(found, extents), lambda _: report.print_feedback(found, extents))
+    return YES if found.stable else NO
+
+
+class _Data:
+    """The data of a feedback, with the disturbances from which the motion returns."""
+
+    def __init__(self, found: Any, extents: dict[str, tuple[float, float]]) -> None:
+        self._found, self._extents = found, extents
+
+    def as_json(self) -> dict[str, Any]:
+        more = {"extent": {name: [*ends] for name, ends in self._extents.items()}}
+        return {**self._found.as_json(), **(more if self._extents else {})}
