@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq, fsolve, minimize_scalar
 
 import zeno_orbits as zo
+from tests.reference.two_walls import TURN, TwoWalls
 from tests.support.one_mass import Motion, one_mass
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation import (
@@ -322,6 +323,69 @@ def test_a_flight_grazes_a_stop_after_any_impact(name: str) -> None:
         for side, place, _ in case.walls.values()
     ]
     assert min(gaps) == pytest.approx(0.0, abs=1e-8)
+    assert end.error < 1e-9
+
+
+# A touch of a wall at which the largest multiplier grows without bound.
+
+_SHAKEN = TwoWalls(c=0.1, force=5.0, omega=1.0, walls=(1.0, 1.0), restitutions=(0.5, 0.5))
+
+
+def _touching(phase: float, e: float) -> float:
+    """Return the restitution of the upper wall at which the last impact of a period is a touch.
+
+    The period starts at the touch. The unknowns are its phase, the lengths of the six flights, and
+    the restitution: each flight ends at its wall, the last one at rest, after one turn.
+
+    Args:
+        phase: First value of the phase.
+        e: First value of the restitution.
+    """
+    walls = (-1.0, -1.0, -1.0, 1.0, 1.0, 1.0)
+
+    def missed(u: Vector) -> list[float]:
+        t, x, v, upper = u[0], 1.0, 0.0, u[7]
+        left: list[float] = []
+        for wall, length in zip(walls, u[1:7], strict=True):
+            end, rate = _SHAKEN.flown(t, x, v, length)
+            left.append(end - wall)
+            t, x, v = t + length, wall, -(upper if wall > 0.0 else 0.5) * rate
+        return [*left, v, t - u[0] - TURN]
+
+    guess, t, x, v = [phase], phase, 1.0, 0.0
+    for wall in walls[:5]:
+        s = 0.05
+        while wall * _SHAKEN.flown(t, x, v, s)[0] < 1.0:
+            s += 1e-4
+        guess.append(s)
+        rate = _SHAKEN.flown(t, x, v, s)[1]
+        t, x, v = t + s, wall, -(e if wall > 0.0 else 0.5) * rate
+    guess += [phase + TURN - t, e]
+    root, _, status, message = fsolve(missed, guess, xtol=1e-14, full_output=True)
+    assert status == 1, message
+    assert np.max(np.abs(missed(root))) < 1e-11
+    return float(root[7])
+
+
+@pytest.mark.slow
+def test_an_impact_vanishes_where_the_multiplier_has_no_bound() -> None:
+    problem = one_mass(
+        lambda m: -m.x - 0.1 * m.v + 5.0 * m.cosine,
+        stops=lambda m: (
+            zo.Stop(name="up", gap=1.0 - m.x, restitution=m.p["e"]),
+            zo.Stop(name="low", gap=1.0 + m.x, restitution=0.5),
+        ),
+        start={"x": 0.1, "cosine": 1.0},
+        omega=1.0,
+        e=0.5,
+    )
+    orbit = settled_event_orbit(problem, problem.values())
+    (family, *_) = family_of_orbit(problem, orbit, "e", (0.499, 0.6)).families
+    end = family.last
+    assert (end.kind, end.detail) == (Kind.GRAZING, "impact up")
+    assert max(map(abs, family.points[-1].multipliers)) > 1e3
+    phase = float(np.arctan2(end.at.state["sine"], end.at.state["cosine"]))
+    assert end.at.value == pytest.approx(_touching(phase, end.at.value), abs=10 * end.error)
     assert end.error < 1e-9
 
 

@@ -70,7 +70,22 @@ def _located(
     last, margin = points[-1], threat.margin
     if margin.loss is MarginKind.LOCK and returns.restitution(last.s, margin.place) > 0.0:
         return locate_cut(returns, metric, last, margin, threat.distance)
-    return _approach(returns, metric, points[-2], last, margin)
+    return _approach(returns, metric, _falling(points, margin), margin)
+
+
+def _falling(points: Sequence[BranchPoint], margin: Margin) -> list[BranchPoint]:
+    """Return the last points, at least two, along which a margin falls.
+
+    Where the largest multiplier grows without bound, only a curve through several points predicts
+    the next one well enough.
+    """
+    nodes = list(points[-2:])
+    for one in reversed(points[:-2]):
+        value = one.found.margins.get(margin)
+        if len(nodes) == _CURVE or value is None or value <= nodes[0].found.margins[margin]:
+            break
+        nodes.insert(0, one)
+    return nodes
 
 
 def _better(
@@ -124,15 +139,15 @@ def _multipliers(used: Sequence[BranchPoint], gone: Margin) -> tuple[tuple[compl
 _HALVINGS = 12
 _SMALLER = 0.1
 """Part to which the margin of a motion that stalls is reduced: powers of it need not be whole."""
-_NODES, _LINE = 7, 2
+_NODES, _CURVE, _LINE = 7, 4, 2
 _GOOD = 1e-11
 
 
 def _approach(
-    returns: ReturnMap, metric: FamilyMetric, before: BranchPoint, last: BranchPoint, margin: Margin
+    returns: ReturnMap, metric: FamilyMetric, known: Sequence[BranchPoint], margin: Margin
 ) -> Located:
     """Return the limit of a sequence of points along which a margin is halved repeatedly."""
-    nodes, unit = [before, last], last.found.time
+    nodes, unit = list(known), known[-1].found.time
     patience = metric.horizon / unit
     stalls = margin.loss in (MarginKind.FREQUENCY, MarginKind.STALL)
     best: tuple[float, Vector, Sequence[BranchPoint]] | None = None
@@ -148,7 +163,7 @@ def _approach(
                 raise
             break
         used = nodes[-most:]
-        if len(nodes) < 4:
+        if len(nodes) < len(known) + 2:
             continue
         values = [node.found.margins[margin] for node in used]
         times = [0.0 if stalls else node.found.time / unit for node in used]
@@ -185,7 +200,7 @@ def _approach(
         multipliers=multipliers,
         multiplier_error=change,
         cause=margin,
-        path=tuple(nodes[2:]),
+        path=tuple(nodes[len(known) :]),
     )
 
 
@@ -215,7 +230,7 @@ def _halved(
     returns: ReturnMap, metric: FamilyMetric, nodes: Sequence[BranchPoint], margin: Margin
 ) -> BranchPoint:
     """Return a point at which a margin is about half its value at the last point."""
-    used = nodes[-4:]
+    used = nodes[-_CURVE:]
     values = np.array([node.found.margins[margin] for node in used])
     rows = np.array([node.z for node in used])
     part = _SMALLER if margin.loss is MarginKind.STALL else 0.5
