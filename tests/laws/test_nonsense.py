@@ -203,6 +203,7 @@ OWN: dict[str, dict[str, Callable[[], Any]]] = {
         **{name: (lambda: ca.SX(0)) for name in ("bias", "passive_force", "applied_force")},
         "holonomic": lambda: ca.SX(0, 1),
     },
+    "design_feedback": {"inputs": lambda: ["Kd"]},
     "NearestGains": {"target": lambda: {"Kp": 2.0}},
     "Problem": {
         "name": lambda: "ball",
@@ -225,7 +226,7 @@ RESULTS = (
     *("Orbit", "EventSearchResult", "Execution", "ExecutionWithError", "Family"),
     *("Identification", "OrbitCertificate", "ParameterMap", "PeriodEnclosure", "Proof"),
     *("ProofVerdict", "Pushes", "Recording", "Recovery", "RigRun", "SearchResult", "SwitchEvent"),
-    "Stability",
+    *("Feedback", "HeldMotion", "ReturnMap", "ReturnSlopes", "Stability"),
     *("WorkPrecision", "ZenoCondition", "Orbit", "Drawing", "SpecialPointKind", "PwmSettings"),
 )
 """Results, which functions make, and names that are not called."""
