@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,6 +24,7 @@ from tests.support.mechanisms import machine_of
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation import SpecialPointKind
 from zeno_orbits.errors import InputError
+from zeno_orbits.maps import attractors_at
 
 HYSTERESIS, DAMPING = 0.2, 0.5
 G = 9.81
@@ -41,8 +44,22 @@ def loop_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     return zo.hybrid_system(plant, relay, switches=switches)
 
 
-def relay_loop() -> zo.Problem:
-    return machine_of(loop_model, {"x": "m", "v": "m/s", "side": "1"}, {"h": HYSTERESIS})
+def armed_by_speed(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+    """Return the same machine with switches that are still armed just after they occurred."""
+    x, v, side = ca.SX.sym("x"), ca.SX.sym("v"), ca.SX.sym("side")
+    plant = zo.HybridLagrangian.from_energies(
+        q=x, v=v, kinetic=v**2 / 2, potential=x**2 / 2, passive_force=-DAMPING * v
+    )
+    relay = zo.Auxiliary(states=side, rate=ca.SX(0), force=side, input_power=side * v)
+    switches = (
+        zo.Switch(name="on", guard=x + p["h"], armed=-v, others_after=ca.SX(1)),
+        zo.Switch(name="off", guard=p["h"] - x, armed=v, others_after=ca.SX(-1)),
+    )
+    return zo.hybrid_system(plant, relay, switches=switches)
+
+
+def relay_loop(model: Any = loop_model) -> zo.Problem:
+    return machine_of(model, {"x": "m", "v": "m/s", "side": "1"}, {"h": HYSTERESIS})
 
 
 def loop_orbit() -> tuple[float, float, float]:
@@ -103,13 +120,32 @@ def test_a_smooth_motion_has_no_event() -> None:
     assert found.end_state == pytest.approx([1 - G * 0.08, -G * 0.4], rel=1e-12)
 
 
-def test_the_relay_loop_has_the_period_and_multiplier_of_its_half_period_map() -> None:
+@pytest.mark.parametrize("model", [loop_model, armed_by_speed])
+def test_the_relay_loop_has_the_period_and_multiplier_of_its_half_period_map(model: Any) -> None:
     period, speed, multiplier = loop_orbit()
-    orbit = zo.find_event_orbit(relay_loop(), start={"x": 0.0, "v": 0.5, "side": 1.0})
+    problem = relay_loop(model)
+    orbit = zo.find_event_orbit(problem, start={"x": 0.0, "v": 0.5, "side": 1.0})
     assert orbit.period == pytest.approx(period, rel=1e-11)
-    assert orbit.start_state["v"] == pytest.approx(speed, rel=1e-11)
+    assert abs(orbit.start_state["v"]) == pytest.approx(speed, rel=1e-11)
     found = np.abs(orbit.floquet_multipliers)
     assert np.max(found) == pytest.approx(multiplier, rel=1e-9)
+    assert zo.verify(orbit, problem=problem).passed
+    returns = zo.return_map(orbit, "switch on", problem=problem)
+    assert abs(returns.multipliers[0]) == pytest.approx(multiplier, rel=1e-9)
+
+
+@pytest.mark.usefixtures("both_loops")
+def test_a_map_names_a_relay_loop_whose_switches_stay_armed() -> None:
+    problem = replace(relay_loop(armed_by_speed), starts=({"side": 1.0},))
+    (found,) = attractors_at(problem, [problem.values()])
+    assert found.period == pytest.approx(loop_orbit()[0], rel=1e-9)
+
+
+@pytest.mark.usefixtures("both_loops")
+def test_a_start_at_a_switch_that_may_be_due_or_past_is_refused() -> None:
+    start = {"x": -HYSTERESIS, "v": -1.0, "side": 1.0}
+    with pytest.raises(zo.SimulationError, match="Start a little before or beyond it"):
+        zo.simulate(relay_loop(armed_by_speed), start=start, until=1.0)
 
 
 @pytest.mark.parametrize("slope", [0.07, 0.08, 0.2])

@@ -396,7 +396,7 @@ def tabulate_events(orbit: Orbit, problem: Problem, names: Sequence[str]) -> Per
     graph = problem.graph_dynamics(values)
     start = np.array(problem.state_vector(orbit.start_state))
     # Rounding may delay the event that ends the period.
-    run = simulate(graph, start, until=orbit.period * (1 + _PAST))
+    run = simulate(graph, start, until=orbit.period * (1 + _PAST), past=orbit.past_switch)
     arcs = [arc for arc in run.arcs if arc.start_time < orbit.period * (1 - _PAST)]
     states, p = closed_nodes(graph, arcs), np.asarray(values.vector, dtype=np.float64)
     turn, zero = steady_turn(graph.first, start), 0.0

@@ -122,7 +122,7 @@ class SettingsType(ctypes.Structure):
         *((name, _number) for name in _SETTINGS),
         *((name, _number * MOST) for name in ("sizes", "weights", "flight_weights", "reach")),
         *((name, _count) for name in ("begins_explicit", "goes_implicit", "completion")),
-        *((name, _count) for name in ("most_steps", "most_impacts", "records")),
+        *((name, _count) for name in ("most_steps", "most_impacts", "records", "past")),
     ]
 
 

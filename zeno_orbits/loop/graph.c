@@ -993,8 +993,11 @@ static int occurs_at_once(Graph *g, int k, int *at_once) {
     const zl_start *start = &g->m.run->start;
     const long long n = graph->n_row[k];
     *at_once = 0;
-    if (!graph->has_events && start->time == 0.0)
+    if (!graph->has_events && start->time == 0.0) {
+        const long long past = g->m.run->settings.past;
+        if (past == -1 || past == k + 1) return GO_ON;
         return tell(&g->m, ZL_ARMED, start->time, start->state, k);
+    }
     if (!(n && graph->row_times[k][n - 1] == start->time))
         *at_once = 1;
     else if (graph->last_switch != k)

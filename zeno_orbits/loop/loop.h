@@ -108,6 +108,7 @@ typedef struct {
     double most_releases, most_landings;
     double sizes[ZL_MOST], weights[ZL_MOST], flight_weights[ZL_MOST], reach[ZL_MOST];
     long long begins_explicit, goes_implicit, completion, most_steps, most_impacts, records;
+    long long past; /* 1 + the switch that has just occurred at the start, 0: none, -1: any */
 } zl_settings;
 
 /* Records that a call writes: the caller's memory, and how much of it was used. */

@@ -53,6 +53,8 @@ class RunSettings:
         most_steps: Largest number of steps of a run.
         most_impacts: Largest number of impacts of a sequence.
         records: Whether steps and arcs are recorded.
+        past: One more than the index of the switch that has just occurred at the start, 0 for none,
+            -1 for any.
     """
 
     until: float
@@ -83,6 +85,7 @@ class RunSettings:
     most_steps: int
     most_impacts: int
     records: bool = True
+    past: int = 0
 
     def filled(self) -> c.SettingsType:
         """Return the same as the library has it."""

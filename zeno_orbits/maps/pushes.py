@@ -600,9 +600,8 @@ def _attracting(
     Raises:
         InputError: If the motion from its start leaves the orbit, or the orbit is not stable.
     """
-    (reached,) = attractors_at(
-        problem, [values], start=orbit.start_state, until=until, accuracy=OF_BASINS
-    )
+    start = _start_on(problem, values, orbit)
+    (reached,) = attractors_at(problem, [values], start=start, until=until, accuracy=OF_BASINS)
     same = reached.fate in ORBITS and math.isclose(
         reached.period, orbit.period, rel_tol=_SAME_PERIOD
     )
@@ -620,11 +619,24 @@ def _attracting(
     return known[0]
 
 
+def _start_on(problem: Problem, values: ParameterValues, orbit: Orbit) -> Mapping[str, float]:
+    """Return a state of an orbit, in the middle of its first arc if it starts at a switch."""
+    if not orbit.past_switch:
+        return orbit.start_state
+    start = np.array(problem.state_vector(orbit.start_state))
+    graph = problem.graph_dynamics(values)
+    motion = simulate(graph, start, until=orbit.period, past=orbit.past_switch)
+    first = motion.arcs[0]
+    middle = motion.state_at((first.start_time + first.end_time) / 2)
+    return dict(zip(problem.state_names, np.asarray(middle).tolist(), strict=True))
+
+
 def _meets(problem: Problem, values: ParameterValues, known: KnownOrbit, orbit: Orbit) -> bool:
     """Return True if the start of an orbit is a state of a known orbit."""
     start = np.array(problem.state_vector(orbit.start_state))
     # Its period may start at another event.
-    turned = simulate(problem.graph_dynamics(values), start, until=1.5 * orbit.period)
+    graph, past = problem.graph_dynamics(values), orbit.past_switch
+    turned = simulate(graph, start, until=1.5 * orbit.period, past=past)
     return any(
         known.passes(np.asarray(state_after(event)))
         for event in turned.events
@@ -646,7 +658,7 @@ def _moments(problem: Problem, values: ParameterValues, orbit: Orbit, phases: in
     """Return the orbit at equidistant phases."""
     graph = problem.graph_dynamics(values)
     start = np.array(problem.state_vector(orbit.start_state))
-    motion = simulate(graph, start, until=orbit.period)
+    motion = simulate(graph, start, until=orbit.period, past=orbit.past_switch)
     times = [k / phases * orbit.period for k in range(phases)]
     states = motion.states_at(np.array(times))
     mobilities, _ = problem.inverse_masses(values, states)

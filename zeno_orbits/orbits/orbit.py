@@ -156,6 +156,12 @@ class Orbit(TableRepr):
         return kind_of_events([(event.name, event.time) for event in self.events])
 
     @property
+    def past_switch(self) -> str:
+        """Name of the switch just after which the period starts, or empty."""
+        kind, _, name = self.events[-1].name.partition(" ") if self.events else ("", "", "")
+        return name if kind == "switch" else ""
+
+    @property
     def section(self) -> str:
         """Name of the event at which the period starts and ends.
 

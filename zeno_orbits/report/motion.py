@@ -47,7 +47,8 @@ def orbit_motion(
         shape = orbit.shape.at_restitution(dynamics.restitution)
         # The verifier rejects an initial state off the section, but the simulator must accept it.
         start = place_on_section(dynamics, shape, start)
-    return simulate(dynamics, start, until=periods * orbit.period * (1 + _LONGER))
+    until = periods * orbit.period * (1 + _LONGER)
+    return simulate(dynamics, start, until=until, past=orbit.past_switch)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -94,7 +94,9 @@ def coexisting_attractors(
     if first.holonomic(start).size > bool(first.clock):
         # If a mechanism has constraints of its own, its states cannot be sampled from a box.
         return []
-    low, high = _box(simulate(system, start, until=orbit.period), start.size)
+    low, high = _box(
+        simulate(system, start, until=orbit.period, past=orbit.past_switch), start.size
+    )
     found: list[Attractor] = []
     for state in _states(system, low, high, seed):
         one = _attractor(problem, values, state, until)

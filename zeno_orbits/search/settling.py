@@ -43,6 +43,7 @@ from zeno_orbits.simulation import (
     Impact,
     Release,
     SimulationSettings,
+    SwitchEvent,
     ZenoExtrapolation,
     bounds_of,
     growth_of,
@@ -269,7 +270,12 @@ def _continued(
             try:
                 start = on_section(graph, state_after(event), mode)
                 later, is_cut = simulated_at_most(
-                    graph, start, until=until - event.time, most_steps=steps, settings=settings
+                    graph,
+                    start,
+                    until=until - event.time,
+                    most_steps=steps,
+                    settings=settings,
+                    past=event.name if isinstance(event, SwitchEvent) else "",
                 )
             except RunawayError:
                 raise

@@ -260,7 +260,8 @@ def armed_at_start(switch: str, time: float, state: Vector) -> SimulationError:
         state: State there, ``(n_x,)``.
     """
     return SimulationError(
-        f"The switch `{switch}` is armed at its start: its guard is zero there and falls",
+        f"The switch `{switch}` is armed at its start: its guard is zero there and falls. Start a "
+        "little before or beyond it",
         time=time,
         state=tuple(state.tolist()),
     )

@@ -215,6 +215,7 @@ class ReferenceRun(StopRun):
         flipped: Time of the last start on the wrong side of a switch, and the switches then.
         n_switches: Number of switches so far.
         together: The stops that open at the end of the last arc, if there are several.
+        past: The switch that has just occurred at the start, as in `SimulationTask.past_switch`.
         seen: The last impacts and switches, by which accumulations are recognized.
     """
 
@@ -230,6 +231,7 @@ class ReferenceRun(StopRun):
     flipped: tuple[float, frozenset[int]] = (math.nan, frozenset())
     n_switches: int = 0
     together: tuple[int, ...] = ()
+    past: int = 0
     seen: Accumulations = field(default_factory=Accumulations)
 
     @classmethod
@@ -257,6 +259,7 @@ class ReferenceRun(StopRun):
             most_releases=task.most_releases,
             most_impacts=task.most_impacts,
             graph=graph,
+            past=task.past_switch,
         )
 
     def execution(self) -> Execution:
@@ -1286,6 +1289,8 @@ class ReferenceRun(StopRun):
             self.graph.switch_names[: self.graph.n_declared],
         )
         if not self.events and start.time == 0.0:
+            if self.past in (-1, s + 1):
+                return False
             raise armed_at_start(name, start.time, start.state)
         if start.time not in self.seen.switches.get(name, ())[-1:]:
             return True

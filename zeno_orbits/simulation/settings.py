@@ -59,6 +59,7 @@ class SimulationTask:
         on_progress: Called with the simulated part of the time.
         goes_on: Whether the state continues an earlier execution, or is near a state of it. Then it
             may violate its constraints by the errors of that execution.
+        past: Name of a declared switch that has just occurred at the start, or empty.
         graph: The system as a graph of modes.
     """
 
@@ -70,8 +71,17 @@ class SimulationTask:
     settings: SimulationSettings = field(default_factory=SimulationSettings)
     on_progress: Progress = silent
     goes_on: bool = False
+    past: str = ""
     graph: GraphDynamics = field(init=False)
 
     def __post_init__(self) -> None:
         """Look at the system as a graph of modes."""
         object.__setattr__(self, "graph", graph_of(self.dynamics))
+
+    @property
+    def past_switch(self) -> int:
+        """One more than the index of the switch that has just occurred, 0 for none, -1 for any."""
+        if self.goes_on:
+            return -1
+        declared = self.graph.switch_names[: self.graph.n_declared]
+        return declared.index(self.past) + 1 if self.past in declared else 0

@@ -39,6 +39,7 @@ def simulate(
     impacts: int | None = None,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
+    past: str = "",
 ) -> Execution:
     """Return the completed execution from an admissible state, locked or free.
 
@@ -51,6 +52,8 @@ def simulate(
         impacts: Number of impacts that end a flight, after which to stop, by default unlimited.
         settings: Accuracy. The defaults aim at an error of 1e-11 per period.
         on_progress: Called with the simulated part of the time.
+        past: Name of a declared switch that has just occurred at the start, where its guard is zero
+            and may fall.
 
     Raises:
         InputError: If the state is not admissible or the horizon is not a positive number, or if
@@ -70,6 +73,7 @@ def simulate(
         most_impacts=math.inf if impacts is None else impacts,
         settings=settings or _USUAL,
         on_progress=on_progress,
+        past=past,
     )
     require_completion(task.settings.completion, lambda: _restitutions(dynamics))
     return by_loop(task) or by_reference(task, plain=False)
@@ -87,6 +91,7 @@ def simulated_at_most(
     until: float,
     most_steps: int,
     settings: SimulationSettings,
+    past: str = "",
 ) -> tuple[Execution, bool]:
     """Return the execution until a time or a number of steps, and whether the steps ended it.
 
@@ -96,6 +101,7 @@ def simulated_at_most(
         until: End time [s].
         most_steps: Largest number of steps. Those of the settings may be fewer.
         settings: Accuracy.
+        past: As for `simulate`.
 
     Raises:
         InputError: As for `simulate`.
@@ -103,7 +109,7 @@ def simulated_at_most(
     """
     fewer = replace(settings, most_steps=min(most_steps, settings.most_steps))
     try:
-        return simulate(dynamics, state, until=until, settings=fewer), False
+        return simulate(dynamics, state, until=until, settings=fewer, past=past), False
     except StepLimitError as error:
         if error.execution is None:
             raise

@@ -192,6 +192,7 @@ def followed(
             releases=more * (n_periods * releases + 2) if releases else None,
             impacts=more * (n_periods * impacts + 2) if impacts else None,
             settings=exact,
+            past=claim.section.removeprefix("switch "),
         )
 
     for beyond, more in ((_BEYOND * n_periods, 1), (_LATE, _MORE)):

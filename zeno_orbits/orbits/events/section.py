@@ -330,8 +330,9 @@ def event_return(
     """
     start = x if mode is None else on_section(graph, x, mode)
     exact = _resolving(settings, completion)
+    past = section.removeprefix("switch ")
     try:
-        execution = simulate(graph, start, until=_WAIT * guess, settings=exact)
+        execution = simulate(graph, start, until=_WAIT * guess, settings=exact, past=past)
         execution = released_at_start(execution, section)
     except InputError as error:
         # An iterate of Newton's method may lie inside of a stop.
@@ -340,7 +341,7 @@ def event_return(
         ) from error
     times = _times_of(execution, section, guess)
     if len(times) < n_returns or times[n_returns - 1] == execution.end_time:
-        execution = simulate(graph, start, until=_LONGEST * guess, settings=exact)
+        execution = simulate(graph, start, until=_LONGEST * guess, settings=exact, past=past)
         execution = released_at_start(execution, section)
         times = _times_of(execution, section, guess)
     if len(times) < n_returns:

@@ -80,6 +80,7 @@ def _own_limits(task: SimulationTask) -> dict[str, float]:
         "until": task.until,
         "most_releases": task.most_releases,
         "most_landings": task.most_impacts,
+        "past": task.past_switch,
     }
 
 
