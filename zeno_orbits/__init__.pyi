@@ -61,6 +61,7 @@ from .maps.pushes import Pushes as Pushes
 from .maps.pushes import PushSettings as PushSettings
 from .maps.recovery import Recovery as Recovery
 from .maps.recovery import RecoverySettings as RecoverySettings
+from .model.contact import impact_speed as impact_speed
 from .model.drives.auxiliary import Auxiliary as Auxiliary
 from .model.drives.circuits import Circuit as Circuit
 from .model.drives.circuits import circuit_drive as circuit_drive
@@ -254,6 +255,7 @@ __all__ = [
     "hybrid_system",
     "ideal_torque_drive",
     "identify",
+    "impact_speed",
     "largest_push",
     "load_problem",
     "no_drive",

@@ -28,6 +28,7 @@ from zeno_orbits.integrators import (
 )
 from zeno_orbits.loop import whole_source
 from zeno_orbits.loop.source import FLAGS, HERE, LIBRARIES
+from zeno_orbits.model import contact
 from zeno_orbits.model.numeric import admission, graph_dynamics
 from zeno_orbits.simulation import (
     accumulations,
@@ -94,6 +95,9 @@ RULES: dict[str, float] = {
     "LATE": event_rules.LATE,
     "N_NODES": zeno_limit.N_NODES,
     "NODE_RATIO": zeno_limit.NODE_RATIO,
+    "FALLEN": zeno_limit._FALLEN,
+    "MOST_FALLS": zeno_limit._MOST_FALLS,
+    "SLOWEST": contact.SLOWEST,
     "FIRST_TRY": completion._FIRST_TRY,
     "WORTHWHILE": completion._WORTHWHILE,
     "STILL_HOLDS": completion._STILL_HOLDS,

@@ -18,6 +18,7 @@ DONE, FULL, ESTIMATES, CURVE, TOO_STIFF, SINGULAR, NOT_FINITE, LEFT = range(8)
 MANY_STEPS, MANY_IMPACTS, BEYOND, GROWS, NOT_CLOSING, INTO_STOP, TOO_LARGE = range(8, 15)
 MODE, INSIDE, SLIDES, COINCIDE, SPLITS, TOGETHER, IN_TURN = range(15, 22)
 ACCUMULATE, UNDEFINED, UNDETERMINED, BY_SWITCH, ARMED, UNORDERED = range(22, 28)
+BEYOND_LAW = 28
 
 GUARDS, STOPS, ORDERS = 16, 8, 64
 
@@ -123,6 +124,7 @@ class SettingsType(ctypes.Structure):
         *((name, _number * MOST) for name in ("sizes", "weights", "flight_weights", "reach")),
         *((name, _count) for name in ("begins_explicit", "goes_implicit", "completion")),
         *((name, _count) for name in ("most_steps", "most_impacts", "records", "past")),
+        ("varies", _count),
     ]
 
 

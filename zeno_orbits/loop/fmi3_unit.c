@@ -113,18 +113,18 @@ static int interrupted(const Unit *unit, int status) {
         "The reset of a switch sends the state into a stop",
         "A switch is armed at its start",
         "Switching times do not increase",
+        "The restitution leaves [0, 1] at the speed of an impact",
     };
     zl_detail detail;
     const char *text = "The run ended";
-    if (status >= ZL_TOO_STIFF && status <= ZL_UNORDERED) text = texts[status - ZL_TOO_STIFF];
+    if (status >= ZL_TOO_STIFF && status <= ZL_BEYOND_LAW) text = texts[status - ZL_TOO_STIFF];
     zl_tell(unit->run, &detail);
     return fail_at(unit, text, unit->reached.origin + detail.time);
 }
 
 /* Restitution of the slowest impacts on a stop, as the law of impact has it. */
 static double slow_restitution(const Unit *unit, int stop) {
-    const zl_settings *settings = &PROBLEM_settings[stop];
-    double approach = -settings->contact * settings->gap_rate, speed;
+    double approach = -SLOWEST, speed;
     long long view = 0;
     Machine m;
     while ((problem->graph->view_keys[view] & 31) != stop) view++;

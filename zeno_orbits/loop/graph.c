@@ -1337,7 +1337,7 @@ static double ways_to_rest(Graph *g, long long stops, const double *lifts, const
     int k;
     for (k = 0; k < g->whole->graph->n_stops; k++) {
         const double e = settings_of(g, k)->restitution;
-        double pair[2], speed;
+        double pair[2], speed, excess = 0.0;
         if (!(stops & BIT(k))) continue;
         gap_of(g, k, x, pair);
         pair[0] = greater(pair[0], 0.0);
@@ -1347,7 +1347,13 @@ static double ways_to_rest(Graph *g, long long stops, const double *lifts, const
         }
         speed = sqrt(pair[1] * pair[1] - 2.0 * lifts[k] * pair[0]);
         speeds[k] = e * speed;
-        ways[k] = (pair[1] + speed) / -lifts[k] + 2.0 * speeds[k] / (-lifts[k] * (1.0 - e));
+        if (settings_of(g, k)->varies) {
+            const Machine m = view_at(g, g->m.run->graph.rest, g->m.run->graph.sides, k);
+            speeds[k] = rebound(&m, speed);
+            excess = speeds_excess(&m, speeds[k]);
+        }
+        ways[k] = (pair[1] + speed) / -lifts[k] + 2.0 * speeds[k] / (-lifts[k] * (1.0 - e)) +
+                  2.0 * excess / -lifts[k];
         longest = greater(longest, ways[k]);
     }
     return longest;

@@ -109,6 +109,7 @@ typedef struct {
     double sizes[ZL_MOST], weights[ZL_MOST], flight_weights[ZL_MOST], reach[ZL_MOST];
     long long begins_explicit, goes_implicit, completion, most_steps, most_impacts, records;
     long long past; /* 1 + the switch that has just occurred at the start, 0: none, -1: any */
+    long long varies; /* whether the restitution depends on the speed of an impact */
 } zl_settings;
 
 /* Records that a call writes: the caller's memory, and how much of it was used. */
@@ -158,7 +159,8 @@ enum {
     ZL_UNDETERMINED,  /* no set, or several sets of the stops in `about` fulfil the laws of contact */
     ZL_BY_SWITCH,     /* the reset of a switch sends the state into a stop: `about` */
     ZL_ARMED,         /* the switch `index` is armed at the start */
-    ZL_UNORDERED      /* switching times of a piecewise input do not increase */
+    ZL_UNORDERED,     /* switching times of a piecewise input do not increase */
+    ZL_BEYOND_LAW     /* the restitution leaves [0, 1] at the speed of an impact: rates before, after */
 };
 
 /* What a status is about. A singular flow names a kink nearby, or -1, as `index`. */

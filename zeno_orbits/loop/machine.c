@@ -158,6 +158,11 @@ static int impact(const Machine *m, double time, const double *before, double ap
     given[n_x] = approach;
     evaluate_at(m, ZL_LANDING, given, landed);
     evaluate_at(m, ZL_REBOUND, &approach, &speed);
+    if (settings->varies && !(0.0 <= speed && speed <= -approach)) {
+        run->detail.steps = speed;
+        run->detail.index = run->graph.focus;
+        return ZL_BEYOND_LAW;
+    }
     if (landed[n_x] < -INSIDE * (settings->gap_rate - approach)) return ZL_INTO_STOP;
     write_event(m, ZL_IMPACT, time, told, before, landed);
     run->n_impacts++;

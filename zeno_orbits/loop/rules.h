@@ -72,6 +72,8 @@
 /* simulation/zeno_limit.py */
 #define N_NODES 5
 #define NODE_RATIO 0.5
+#define FALLEN 8.673617379884035e-19
+#define MOST_FALLS 100000
 
 /* simulation/completion.py */
 #define FIRST_TRY 6
@@ -89,6 +91,9 @@
 #define FLIGHT_STEPS 1000
 #define MOST_CORRECTIONS 10
 #define CLOSE 1e-07
+
+/* model/contact.py */
+#define SLOWEST 1.142987391282275e-100
 
 /* model/numeric/graph_dynamics.py */
 #define SWITCH_ZERO 1e-12

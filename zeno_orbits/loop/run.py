@@ -55,6 +55,7 @@ class RunSettings:
         records: Whether steps and arcs are recorded.
         past: One more than the index of the switch that has just occurred at the start, 0 for none,
             -1 for any.
+        varies: Whether the restitution depends on the speed of an impact.
     """
 
     until: float
@@ -86,6 +87,7 @@ class RunSettings:
     most_impacts: int
     records: bool = True
     past: int = 0
+    varies: bool = False
 
     def filled(self) -> c.SettingsType:
         """Return the same as the library has it."""

@@ -85,6 +85,50 @@ static void combine(const Machine *m, Limit *limit) {
                                                  (settings->sizes[i] + fabs(limit->state[i])));
 }
 
+/* The speed after an impact, and the sum of all later speeds beyond the geometric one. */
+static double rebound(const Machine *m, double speed) {
+    double approach = -speed, after;
+    evaluate_at(m, ZL_REBOUND, &approach, &after);
+    return after;
+}
+
+static double speeds_excess(const Machine *m, double speed) {
+    const double e = m->settings->restitution;
+    double w = speed, excess = 0.0;
+    int count;
+    if (!m->settings->varies) return 0.0;
+    for (count = 0; w > FALLEN * speed; count++) {
+        const double after = rebound(m, w);
+        if (count == MOST_FALLS) return INFINITY;
+        excess += (after - e * w) / (1 - e);
+        w = after;
+    }
+    return excess;
+}
+
+/* The error of a limit that the change of the restitution with the speed causes. */
+static double law_error(const Machine *m, const Limit *limit) {
+    const zl_settings *settings = &m->run->settings;
+    const long long last_one = m->run->pace.n_estimates - 1;
+    const double *last = estimate_of(m, last_one);
+    const double *rested = last + ZL_ESTIMATE_WIDTH, tail = last[E_TIME] - last[E_IMPACT];
+    long long nodes[N_NODES];
+    double speeds[N_NODES] = {0.0}, weights[N_NODES], excess = 0.0, late, error;
+    int n, k, i;
+    if (!settings->varies || !(tail > 0.0)) return 0.0;
+    n = spread_nodes(m, last_one, nodes);
+    for (k = 0; k < n; k++) speeds[k] = speed_of(m, nodes[n - 1 - k]);
+    limit_weights(speeds, n, weights);
+    for (k = 0; k < n; k++) excess += weights[k] * speeds_excess(m, speeds[k]);
+    late = fabs(2 * excess / -last[E_LIFT]);
+    if (isnan(late)) return INFINITY;
+    error = late / (settings->time + fabs(limit->time));
+    for (i = 0; i < m->problem->n_x; i++)
+        error = greater(error, fabs((rested[m->problem->n_x + i] - rested[i]) * (late / tail)) /
+                                   (settings->sizes[i] + fabs(limit->state[i])));
+    return error;
+}
+
 /* Move a state onto the stop. */
 static void to_stop(const Machine *m, const double *x, double *state) {
     double outputs[2 * ZL_MOST + 1];
@@ -97,6 +141,8 @@ static int extrapolated(const Machine *m, double resolved, double tolerance, Lim
     const double *last = estimate_of(m, m->run->pace.n_estimates - 1);
     if (last[E_SPEED] > resolved * m->run->first_speed) return 0;
     combine(m, limit);
+    if (limit->error > tolerance) return 0;
+    limit->error += law_error(m, limit);
     if (limit->error > tolerance) return 0;
     to_stop(m, limit->state, limit->state);
     return fabs(number_at(m, ZL_LIFT, limit->state) - last[E_LIFT]) <= MAY_BEND * fabs(last[E_LIFT]);
@@ -169,7 +215,7 @@ static int limit_by_rule(const Machine *m, Limit *limit) {
     const double *last = estimate_of(m, run->pace.n_estimates - 1);
     switch (settings->completion) {
     case ZL_TRUNCATION:
-        if (last[E_SPEED] >= settings->restitution * settings->delta) return NO_LIMIT;
+        if (last[E_SPEED] >= rebound(m, settings->delta)) return NO_LIMIT;
         limit->time = last[E_IMPACT];
         limit->error = last[E_TIME] - last[E_IMPACT];
         memcpy(limit->state, last + ZL_ESTIMATE_WIDTH,
@@ -185,6 +231,7 @@ static int limit_by_rule(const Machine *m, Limit *limit) {
     case ZL_FIXED_IMPACTS:
         if ((double)run->pace.n_estimates < settings->n_fixed) return NO_LIMIT;
         combine(m, limit);
+        limit->error += law_error(m, limit);
         to_stop(m, limit->state, limit->state);
         return LIMIT;
     }

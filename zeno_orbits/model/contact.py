@@ -7,9 +7,28 @@ models and the residuals that check the law have separate formulas.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, cast
+
+import casadi as ca
 
 from zeno_orbits.errors import InputError
+
+impact_speed = ca.SX.sym("impact_speed")
+r"""Speed at which an impact closes its gap, :math:`-\dot h^- \ge 0`, in formulas of a restitution.
+
+Its unit is that of the gap per second.
+"""
+
+SLOWEST = 2.0**-332
+"""Speed at which the limit of a restitution at speed zero is taken.
+
+At zero itself a power has no derivative, and a power of two does not round.
+"""
+
+_SPEEDS = (0.75, 1.5, 3.0)
+"""Speeds at which two laws of impact are compared."""
 
 GAP, GAP_RATE, GAP_ACCELERATION, MULTIPLIER, MULTIPLIER_RATE = range(5)
 """Indices of the contact quantities in a vector, or rows in its derivative."""
@@ -44,27 +63,58 @@ class ImpactLaw(NamedTuple):
     .. math:: \dot h^+ = -e\,\dot h^-,\qquad
         x^+ = x^- - (1 + e)\,\dot h^-\,d,\qquad d = \frac{W J^\top}{J W J^\top}
 
-    Its fields are the parameters of the law. The first field is the restitution of the slowest
-    impacts, which alone determines how impacts accumulate (theory (2.7)).
+    The restitution may depend on the speed, :math:`e(-\dot h^-)`. The restitution of the slowest
+    impacts alone determines how impacts accumulate (theory (2.7)).
 
     Attributes:
-        restitution: :math:`e`.
+        restitution: :math:`e`, at speed zero if it depends on the speed.
+        of_speed: Function from the speed of an impact to :math:`e`, if it depends on the speed.
     """
 
     restitution: Any
+    of_speed: Callable[[Any], Any] | None = None
 
     @classmethod
-    def of(cls, numbers: Any) -> ImpactLaw:
-        """Return the law with the entries of a vector as its parameters, one per field."""
-        return cls(*(numbers[k] for k in range(len(cls._fields))))
+    def of_formula(cls, formula: Any) -> ImpactLaw:
+        """Return the law of a formula of parameters and `impact_speed`."""
+        whole = ca.SX(formula)
+        if not ca.depends_on(whole, impact_speed):
+            return cls(whole)
+        return cls(at_impact_speed(whole, SLOWEST), partial(at_impact_speed, whole))
+
+    @property
+    def numbers(self) -> ca.SX:
+        """The restitution of the slowest impacts, and at fixed speeds if it depends on the speed.
+
+        The latter tell laws apart. They are finite, also where a law does not apply.
+        """
+        slowest = ca.SX(self.restitution)
+        if self.of_speed is None:
+            return slowest
+        others = [ca.fmax(ca.fmin(self.at(speed), 2), -1) for speed in _SPEEDS]
+        return cast("ca.SX", ca.vertcat(slowest, *others))
+
+    def at(self, speed: Any) -> Any:
+        """Return the restitution of impacts at a speed."""
+        return self.restitution if self.of_speed is None else self.of_speed(speed)
 
     def speed_after(self, approach_rate: Any) -> Any:
         """Return the gap rate just after an impact, from the gap rate before it."""
-        return -self.restitution * approach_rate
+        return -self.at(-approach_rate) * approach_rate
 
     def rate_drop(self, approach_rate: Any) -> Any:
         """Return the gap rate before an impact minus the gap rate after it."""
-        return (1 + self.restitution) * approach_rate
+        return (1 + self.at(-approach_rate)) * approach_rate
+
+
+def at_impact_speed(formula: Any, speed: Any) -> ca.SX:
+    """Return a formula at a speed of the impact.
+
+    Args:
+        formula: A formula of parameters and `impact_speed`.
+        speed: The speed, a number or a formula.
+    """
+    return cast("ca.SX", ca.substitute(ca.SX(formula), impact_speed, ca.SX(speed)))
 
 
 def require_zeno_points(restitution: float, stop: str = "") -> None:

@@ -92,7 +92,7 @@ def _of_mechanism(mechanism: HybridLagrangian) -> list[NamedFormula]:
     ]
     found = [NamedFormula(words=a, keywords=b, formula=c) for a, b, c in rows]
     for stop in mechanism.stops:
-        for word, formula in (("gap", stop.gap), ("restitution", stop.restitution)):
+        for word, formula in (("gap", stop.gap), ("restitution", stop.law.restitution)):
             words, keywords = f"the {word} of the stop `{stop.name}`", (word,)
             one = NamedFormula(
                 words=words, keywords=keywords, formula=ca.SX(formula), owner=stop.name

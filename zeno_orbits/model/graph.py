@@ -49,9 +49,9 @@ def hybrid_system(
     Args:
         lagrangian: The mechanism, with one gap, with ``stops``, or without a stop.
         drive: Drive or additional states, or a tuple of several. Their states follow in order.
-        restitution: Coefficient of restitution :math:`e` of the one gap, a symbol or a number in
-            [0, 1]. The ``stops`` of a mechanism have their own, and without a stop
-            it is left out.
+        restitution: Coefficient of restitution :math:`e` of the one gap in [0, 1]: a number, or a
+            formula of parameters and ``zo.impact_speed``, as for a `Stop`. The ``stops`` of a
+            mechanism have their own, and without a stop it is left out.
         switches: Declared switches of the machine. Every kink of a formula (``fmin``, ``fmax``,
             ``fabs``, ``sign``, ``if_else``, ``atan2``) is a further switch, without a reset.
 

@@ -14,7 +14,13 @@ from typing import cast
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.model.contact import ContactQuantities, ImpactLaw
+from zeno_orbits.model.contact import (
+    SLOWEST,
+    ContactQuantities,
+    ImpactLaw,
+    at_impact_speed,
+    impact_speed,
+)
 from zeno_orbits.model.drives.auxiliary import Auxiliary, joined_auxiliary
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.lagrangian import HybridLagrangian
@@ -55,7 +61,7 @@ class CompletedSystem:
         mechanism: The completed mechanism, including the inertia that a corrected drive adds.
         bare: The mechanism without that inertia.
         stop_restitution: Coefficient of restitution of the stop, without the current layer that a
-            corrected drive adds to an impact.
+            corrected drive adds to an impact. It may depend on `impact_speed`.
         drive: Drive of the mechanism.
         graph: All modes of a machine with several stops or switches, or ``None``. The other fields
             then describe its first stop alone.
@@ -101,8 +107,8 @@ class CompletedSystem:
 
     @property
     def law_numbers(self) -> ca.SX:
-        """The parameters of the law of impact, the restitution first."""
-        return cast("ca.SX", ca.vertcat(*self.law))
+        """The restitution of the slowest impacts, then numbers that tell laws apart."""
+        return self.law.numbers
 
     @property
     def contact(self) -> ContactQuantities:
@@ -141,7 +147,8 @@ def completed(
     Args:
         lagrangian: The mechanism.
         drive: Drive or additional states, or a tuple of several.
-        restitution: Coefficient of restitution of the gap.
+        restitution: Coefficient of restitution of the gap, a formula of parameters and
+            `impact_speed`.
     """
     drive = joined_auxiliary(lagrangian, drive)
     bare, stop_restitution = lagrangian, ca.SX(restitution)
@@ -158,7 +165,7 @@ def completed(
     gap_rate = ca.dot(normal, v)
     gap_acceleration = ca.dot(normal, free_acceleration) + ca.jtimes(gap_rate, q, v)
     multiplier = -gap_acceleration * normal_inertia
-    law = ImpactLaw(ca.SX(restitution))
+    law = ImpactLaw.of_formula(restitution)
 
     extra, extra_rate, off_circle = _appended(lagrangian, drive)
     state = ca.vertcat(q, v, extra)
@@ -244,7 +251,29 @@ def _state_change(
                 "Argument `after_impact` must change the states in proportion to the gap rate. "
                 "An impact at zero speed then changes nothing."
             )
-    return -slope / law.rate_drop(ca.SX(1))
+    return _of_any_speed(-slope / (1 + law.at(impact_speed)))
+
+
+def _of_any_speed(change: ca.SX) -> ca.SX:
+    """Return a formula that holds the speed of the impact, but does not depend on it.
+
+    Raises:
+        ValueError: If it does depend on the speed, as random values of the symbols show.
+    """
+    if not ca.depends_on(change, impact_speed):
+        return change
+    others = [one for one in ca.symvar(change) if not ca.depends_on(one, impact_speed)]
+    values = ca.Function("change", [impact_speed, ca.veccat(*others)], [ca.densify(change)])
+    random = np.random.default_rng(0)
+    for _ in range(_TRIALS):
+        at = random.uniform(0.5, 1.5, len(others))
+        slow, fast = (np.array(values(speed, at).full()).ravel() for speed in (0.1, 0.3))
+        if not np.max(np.abs(fast - slow)) <= _ROUNDING * max(1.0, float(np.max(np.abs(slow)))):
+            raise ValueError(
+                "Argument `after_impact` must change the states in proportion to 1 + e, since "
+                "the restitution e depends on the speed of the impact."
+            )
+    return at_impact_speed(change, SLOWEST)
 
 
 def accelerate(lagrangian: HybridLagrangian, force: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -89,7 +89,7 @@ class ModeGraph:
     @property
     def formulas(self) -> list[ca.SX]:
         """Formulas of the stops and switches."""
-        stops = [ca.SX(part) for one in self.stops for part in (one.gap, one.restitution)]
+        stops = [ca.SX(part) for one in self.stops for part in (one.gap, one.law.numbers)]
         switches = [ca.SX(part) for one in self.switches for part in (one.guard, one.armed)]
         return [*stops, *switches, *self.resets]
 

@@ -179,12 +179,15 @@ class Problem(Declared):
     def _has_one_stop(self) -> bool:
         """Return True if the model has one stop, whose restitution is a parameter.
 
+        A restitution that depends on the speed of an impact has parameters of any name.
+
         A model that cannot be built for another reason than a missing parameter is reported where
         it is used.
         """
         try:
             system = cast("object", self.model(self.symbols()))
-            return isinstance(system, CompletedSystem) and system.graph is None
+            is_one = isinstance(system, CompletedSystem) and system.graph is None
+            return is_one and system.law.of_speed is None
         except LookupError:
             return True
         except (ArithmeticError, RuntimeError, TypeError, ValueError):

@@ -7,6 +7,7 @@ from typing import Any
 
 import casadi as ca
 
+from zeno_orbits.model.contact import ImpactLaw
 from zeno_orbits.model.expressions.operations import expand_calls
 from zeno_orbits.model.quantities import require_unit
 from zeno_orbits.work import Checked
@@ -19,7 +20,9 @@ class Stop(Checked):
     Attributes:
         name: Name of the stop in events, tables and messages.
         gap: :math:`h(q)`, scalar.
-        restitution: Coefficient of restitution :math:`e` in [0, 1], a symbol or a number.
+        restitution: Coefficient of restitution :math:`e` in [0, 1]: a number, or a formula of
+            parameters and ``zo.impact_speed``. A formula of the speed must have a limit between 0
+            and 1 at speed zero.
         unit: Unit of the gap. By default it follows from the units of the formula's symbols.
     """
 
@@ -27,6 +30,11 @@ class Stop(Checked):
     gap: ca.SX
     restitution: ca.SX | float
     unit: str = ""
+
+    @property
+    def law(self) -> ImpactLaw:
+        """The law of its impacts."""
+        return ImpactLaw.of_formula(self.restitution)
 
     def __post_init__(self) -> None:
         """Refuse wrong kinds and a text that is not a unit, and expand the calls of functions."""

@@ -65,7 +65,7 @@ def _digest_of_graph(problem: Problem) -> tuple[float, ...]:
         (system.free_flow,),
         (system.energy,),
         tuple(ca.SX(stop.gap) for stop in graph.stops),
-        tuple(ca.SX(stop.restitution) for stop in graph.stops),
+        tuple(stop.law.numbers for stop in graph.stops),
         (graph.delassus,),
         tuple(ca.SX(one.guard) for one in graph.switches),
         tuple(ca.SX(one.armed) for one in graph.switches),

@@ -115,6 +115,27 @@ def does_not_close(approach_rate: float, time: float, state: Vector) -> Simulati
     )
 
 
+def restitution_beyond(
+    speed: float, approach_rate: float, stop: str, time: float, state: Vector
+) -> SimulationError:
+    """Return the error of a restitution outside [0, 1] at the speed of an impact.
+
+    Args:
+        speed: Gap rate after the impact.
+        approach_rate: Gap rate before it.
+        stop: Name of the stop.
+        time: When [s].
+        state: State before it, ``(n_x,)``.
+    """
+    at = f" of the stop `{stop}`" if stop else ""
+    return SimulationError(
+        f"Argument `restitution`{at} must lie in [0, 1], but at the impact speed "
+        f"{-approach_rate:.6g} it is {speed / -approach_rate:.6g}",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
 def enters_by_reset(time: float, state: Vector) -> PenetrationError:
     """Return the error of a reset map that sends the state into the stop.
 

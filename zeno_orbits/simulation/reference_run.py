@@ -69,7 +69,7 @@ from zeno_orbits.simulation.recorded import LoopTrajectory
 from zeno_orbits.simulation.settings import SimulationTask
 from zeno_orbits.simulation.stop_run import ImpactSequence, StopRun, is_slack
 from zeno_orbits.simulation.zeno.completion import ZenoExtrapolation, ZenoPassage
-from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit
+from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit, speeds_excess
 
 _APART = 1e-11
 """Times of two events differ at least by this part of the problem's time."""
@@ -717,8 +717,10 @@ class ReferenceRun(StopRun):
             gap = 0.0 if is_struck else max(view.gap(x), 0.0)
             rate = approach_rate if is_struck else view.gap_rate(x)
             speed = math.sqrt(rate * rate - 2.0 * lift * gap)
-            after = view.restitution * speed
+            after = view.speed_after(-speed)
+            excess = speeds_excess(view, after)
             way = (rate + speed) / -lift + 2.0 * after / (-lift * (1.0 - view.restitution))
+            way += 2.0 * excess / -lift
             ways.append((way, after))
         return ways
 

@@ -21,6 +21,7 @@ from zeno_orbits.simulation.interruptions import (
     does_not_accumulate,
     does_not_close,
     enters_by_reset,
+    restitution_beyond,
 )
 from zeno_orbits.simulation.settings import SimulationSettings
 from zeno_orbits.simulation.small_hops import SmallHop, small_hop
@@ -281,7 +282,8 @@ class StopRun(ABC):
             approach_rate: Exact gap rate before the impact.
 
         Raises:
-            SimulationError: If the gap does not close, or the reset sends the state into the stop.
+            SimulationError: If the gap does not close, if the restitution leaves [0, 1] at this
+                speed, or if the reset sends the state into the stop.
         """
         dynamics = self.dynamics
         if not approach_rate < 0.0:
@@ -289,6 +291,8 @@ class StopRun(ABC):
         landed = dynamics.landed(state_minus, approach_rate)
         state_plus = landed.state_plus
         speed = dynamics.speed_after(approach_rate)
+        if dynamics.restitution_at is not None and not 0.0 <= speed <= -approach_rate:
+            raise restitution_beyond(speed, approach_rate, self.stop_name, time, state_minus)
         if enters_stop(landed.gap_rate, approach_rate, self.own.gap_rate):
             raise enters_by_reset(time, state_minus)
         impact = Impact(

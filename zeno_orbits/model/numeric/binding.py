@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
@@ -19,6 +20,7 @@ from zeno_orbits.model.contact import (
     ImpactLaw,
 )
 from zeno_orbits.model.numeric.calls import Call, LandingCall, ResetCall, RestingCall
+from zeno_orbits.model.numeric.casadi_calls import caller
 from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, FlowMemory
 from zeno_orbits.model.numeric.derivatives import Differentiation
@@ -74,6 +76,19 @@ def bind(
     )
 
 
+def _at_speeds(function: ca.Function, p: Vector) -> Callable[[float], float]:
+    """Return a function of parameters and one speed, as a function of the speed."""
+    given, result = np.zeros(1), np.zeros(1)
+    evaluate = caller(function, (p, given), (result,))
+
+    def at(speed: float) -> float:
+        given[0] = speed
+        evaluate()
+        return float(result[0])
+
+    return at
+
+
 def _plain_dynamics(
     compiled: CompiledSystem, p: Vector, scaling: Callable[[], CharacteristicScales]
 ) -> HybridDynamics:
@@ -86,7 +101,11 @@ def _plain_dynamics(
     """
     contact = Call(compiled.contact, p)
     impulse = Call(compiled.impulse, p)
-    law = ImpactLaw(*impulse(np.zeros(compiled.n_x), 2).tolist())
+    law = ImpactLaw(float(impulse(np.zeros(compiled.n_x), 2)[0]))
+    of_speed = speed_after = None
+    if compiled.coefficient is not None:
+        of_speed = _at_speeds(compiled.coefficient, p)
+        speed_after = _at_speeds(compiled.rebound, p)
     energy = Call(compiled.energy, p)
     holonomic = Call(compiled.holonomic, p)
 
@@ -104,7 +123,8 @@ def _plain_dynamics(
         state_names=compiled.state_names,
         n_q=compiled.n_q,
         restitution=law.restitution,
-        speed_after=law.speed_after,
+        restitution_at=of_speed,
+        speed_after=speed_after or law.speed_after,
         free=CompiledFlow(compiled.free, p, FlowMemory(compiled.free, weights)),
         locked=CompiledFlow(compiled.locked, p, FlowMemory(compiled.locked, weights)),
         flight=flight,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, cast
 
 import casadi as ca
@@ -46,7 +46,9 @@ class CompiledSystem:
         locked: The mode on the stop, in ``(x, p)``.
         flight: The rescaled flight, in ``((x, h / w^2, (dh/dt) / w), (p, w))`` (theory (2.6)).
         contact: ``(x, p) -> (gap, gap_rate, gap_acceleration, multiplier, multiplier_rate)``.
-        impulse: ``(x, p) -> (impulse_direction, normal_inertia, parameters of the impact law)``.
+        impulse: ``(x, p) -> (impulse_direction, normal_inertia, law_numbers)``, the restitution of
+            the slowest impacts first.
+        coefficient: ``(p, speed of an impact) -> restitution``, if it depends on the speed.
         rebound: ``(p, approach rate) -> gap rate after the impact``.
         reset: ``(x, p, approach rate) -> x after the impact``.
         resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.
@@ -69,6 +71,7 @@ class CompiledSystem:
     flight: ModeFunctions
     contact: ca.Function
     impulse: ca.Function
+    coefficient: ca.Function | None
     rebound: ca.Function
     reset: ca.Function
     resting: ca.Function
@@ -137,7 +140,8 @@ class CompiledSystem:
 
     def law_at(self, p: Any) -> ImpactLaw:
         """Return the law of an impact at symbols or values of the parameters."""
-        return ImpactLaw.of(self.impulse(ca.DM.zeros(self.n_x), p)[2])
+        slowest = self.impulse(ca.DM.zeros(self.n_x), p)[2][0]
+        return ImpactLaw(slowest, None if self.coefficient is None else partial(self.coefficient, p))
 
 
 def compile_system(
@@ -191,6 +195,9 @@ def compile_system(
         impulse=function(
             "impulse", system.impulse_direction, system.normal_inertia, system.law_numbers
         ),
+        coefficient=None
+        if system.law.of_speed is None
+        else dense_function("coefficient", [parameters, speed], [system.law.at(speed)]),
         rebound=dense_function("rebound", [parameters, speed], [system.law.speed_after(speed)]),
         reset=dense_function("reset", [system.state, parameters, speed], [_reset(system, speed)]),
         resting=function("resting", *_resting(system)),

@@ -27,8 +27,7 @@ class DifferentiableFunctions:
         rates: ``dy/dt`` of the free and the locked mode and of a rescaled flight.
         contact: ``(x, p) -> (gap, gap_rate, gap_acceleration, multiplier, multiplier_rate)``.
         holonomic: ``(x, p) -> (eta, eta_rate)``.
-        impulse: Function whose third output holds the parameters of the impact law, the restitution
-            first.
+        impulse: Function whose third output holds the restitution of the slowest impacts first.
         rebound: ``(p, approach rate) -> gap rate after the impact``.
         reset: ``(x, p, approach rate) -> x after the impact``.
         resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.

@@ -93,6 +93,8 @@ class HybridDynamics:
             the clock from its circle.
         scaling: Function without arguments that returns the characteristic scales, if they are
             known.
+        restitution_at: Function from the speed of an impact to :math:`e`, if it depends on the
+            speed.
     """
 
     state_names: tuple[str, ...]
@@ -117,6 +119,7 @@ class HybridDynamics:
     formulas: BoundFormulas | None = None
     clock: tuple[int, ...] = ()
     scaling: Callable[[], CharacteristicScales] = usual
+    restitution_at: Callable[[float], float] | None = None
 
     def __post_init__(self) -> None:
         """Reject an invalid restitution, as from a corrected drive outside its validity."""
@@ -135,6 +138,19 @@ class HybridDynamics:
             if self.restitution < 0.0:
                 reason = "."
             raise InputError(f"Argument `restitution` {message}{reason}")
+        if self.restitution_at is not None and not 0.0 < self.restitution < 1.0:
+            raise InputError(
+                "Argument `restitution` must have a limit between 0 and 1 at speed 0, if it depends "
+                f"on `impact_speed`, but the limit is {float(self.restitution):.6g}."
+            )
+
+    def restitution_of(self, speed: float) -> float:
+        """Return the restitution of an impact.
+
+        Args:
+            speed: Speed at which it closes the gap.
+        """
+        return self.restitution if self.restitution_at is None else self.restitution_at(speed)
 
     @property
     def own(self) -> CharacteristicScales:
@@ -158,6 +174,7 @@ class HybridDynamics:
             self.flight,
             self.speed_after,
             self.restitution,
+            self.restitution_at,
         )
 
     @property

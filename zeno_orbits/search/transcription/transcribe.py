@@ -188,6 +188,6 @@ def _impact_law(
 ) -> ImpactLaw:
     """Return the law of impact, with constants or with functions of the free values."""
     _, columns = compiled.impulse.jac_sparsity(2, 1).get_triplet()
-    if not set(columns) & set(free_places):
-        return ImpactLaw(*(ca.MX(float(number)) for number in compiled.law_at(ca.DM(values))))
+    if compiled.coefficient is None and not set(columns) & set(free_places):
+        return ImpactLaw(ca.MX(float(compiled.law_at(ca.DM(values)).restitution)))
     return compiled.law_at(p)

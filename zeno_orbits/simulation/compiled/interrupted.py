@@ -20,6 +20,7 @@ from zeno_orbits.simulation.interruptions import (
     flow_ends,
     grows_without_end,
     leaves_set,
+    restitution_beyond,
     runs_away,
     slides,
     switches_accumulate,
@@ -64,6 +65,9 @@ def _of_flows(task: SimulationTask, told: Detail) -> _Made:
         ),
         binding.NOT_CLOSING: lambda: does_not_close(told.number, time, state),
         binding.INTO_STOP: lambda: enters_by_reset(time, state),
+        binding.BEYOND_LAW: lambda: restitution_beyond(
+            told.steps, told.number, task.graph.stop_names[told.index], time, state
+        ),
     }
 
 

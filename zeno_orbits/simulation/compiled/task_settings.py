@@ -84,7 +84,7 @@ def _own_limits(task: SimulationTask) -> dict[str, float]:
     }
 
 
-_Shared = tuple[SimulationSettings, Tolerance, CharacteristicScales, float, int, int]
+_Shared = tuple[SimulationSettings, Tolerance, CharacteristicScales, float, bool, int, int]
 
 
 def _shared_by_stop(task: SimulationTask) -> Sequence[_Shared]:
@@ -94,7 +94,10 @@ def _shared_by_stop(task: SimulationTask) -> Sequence[_Shared]:
         chosen = replace(chosen, far=tuple(chosen.far))
     sizes = (len(graph.state_names), graph.n_q)
     tolerance = tolerance_of(task)
-    return [(chosen, tolerance, view.own, view.restitution, *sizes) for view in graph.open_views]
+    return [
+        (chosen, tolerance, view.own, view.restitution, view.restitution_at is not None, *sizes)
+        for view in graph.open_views
+    ]
 
 
 @lru_cache(maxsize=64)
@@ -107,6 +110,7 @@ def _shared(
     tolerance: Tolerance,
     own: CharacteristicScales,
     restitution: float,
+    varies: bool,
     n_x: int,
     n_q: int,
 ) -> RunSettings:
@@ -141,4 +145,5 @@ def _shared(
         most_landings=math.inf,
         most_steps=chosen.most_steps,
         most_impacts=chosen.most_impacts,
+        varies=varies,
     )

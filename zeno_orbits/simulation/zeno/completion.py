@@ -15,7 +15,13 @@ from zeno_orbits.integrators import RungeKutta, Stepper, Tolerance
 from zeno_orbits.model import HybridDynamics, require_zeno_points
 from zeno_orbits.simulation.event_rules import is_geometric
 from zeno_orbits.simulation.zeno.rescaled_flight import rescaled_flights
-from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit, combine, extrapolate
+from zeno_orbits.simulation.zeno.zeno_limit import (
+    TailEstimate,
+    ZenoLimit,
+    combine,
+    extrapolate,
+    law_error,
+)
 from zeno_orbits.simulation.zeno.zeno_passage import is_settled, pass_through
 from zeno_orbits.work import Checked, require_kinds
 
@@ -90,7 +96,10 @@ class ZenoExtrapolation(Checked):
         raw = combine(estimates, dynamics.own)
         if raw.error > self.tolerance:
             return None
-        limit = ZenoLimit(time=raw.time, state=dynamics.on_stop(raw.state), error=raw.error)
+        error = raw.error + law_error(dynamics, estimates, raw)
+        if error > self.tolerance:
+            return None
+        limit = ZenoLimit(time=raw.time, state=dynamics.on_stop(raw.state), error=error)
         at_limit = dynamics.gap_acceleration(limit.state)
         return limit if is_geometric(at_limit, last.gap_acceleration) else None
 
@@ -183,7 +192,7 @@ class Truncation:
     ) -> ZenoLimit | None:
         """Return the cut, as if it were the Zeno point, if the last impact was slow enough."""
         last = estimates[-1]
-        if last.speed >= dynamics.restitution * self.delta:
+        if last.speed >= dynamics.speed_after(-self.delta):
             return None
         error = last.time - last.impact_time
         return ZenoLimit(time=last.impact_time, state=last.resting, error=error)
