@@ -327,8 +327,10 @@ def _easy_values(problem: Problem, values: ParameterValues) -> tuple[ParameterVa
     """
     gains = {gain.name: gain.default for gain in problem.gains if gain.default is not None}
     own = values.replaced(gains)
-    dull = {"restitution": values.parameters["restitution"] / 2}
-    found = [own, values.replaced(dull), own.replaced(dull)]
+    found = [own]
+    if "restitution" in values.parameters:
+        dull = {"restitution": values.parameters["restitution"] / 2}
+        found += [values.replaced(dull), own.replaced(dull)]
     if not far_from_own(problem, values):
         found.append(problem.values())
     return tuple(one for k, one in enumerate(found) if one != values and one not in found[:k])

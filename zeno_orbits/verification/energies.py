@@ -147,7 +147,8 @@ def _impact_loss(graph: GraphDynamics, period: Period, impact: Impact) -> float:
     """Return the energy that an impact loses by Newton's law [J]."""
     view = struck_view(graph, period, impact)
     inertia = view.normal_inertia(impact.state_minus)
-    lost = (1 - view.restitution**2) / 2 * inertia * impact.approach_rate**2
+    rate = impact.approach_rate
+    lost = (1 - view.restitution_of(-rate) ** 2) / 2 * inertia * rate**2
     return lost - _stored(view, impact.state_minus, impact.state_plus)
 
 

@@ -239,7 +239,8 @@ def lawful_impact(dynamics: HybridDynamics, impact: Impact) -> tuple[float, floa
         dynamics: The system, for its restitution and its effective inertia at an impact.
         impact: The impact.
     """
-    e, rate = dynamics.restitution, impact.approach_rate
+    rate = impact.approach_rate
+    e = dynamics.restitution_of(-rate)
     inertia = dynamics.normal_inertia(impact.state_minus)
     return -e * rate, (1 - e**2) / 2 * inertia * rate**2
 
@@ -317,7 +318,8 @@ def _energy_change(dynamics: HybridDynamics, impact: Impact) -> float:
     moving = slice(dynamics.n_q, 2 * dynamics.n_q)
     still = [impact.state_plus.copy(), impact.state_minus.copy()]
     direction = dynamics.impulse_direction(impact.state_minus)[2 * dynamics.n_q :]
-    still[1][2 * dynamics.n_q :] -= (1 + dynamics.restitution) * impact.approach_rate * direction
+    rate = impact.approach_rate
+    still[1][2 * dynamics.n_q :] -= (1 + dynamics.restitution_of(-rate)) * rate * direction
     for x in still:
         x[moving] = 0.0
     other = dynamics.energy(still[0]) - dynamics.energy(still[1])

@@ -18,7 +18,8 @@ from zeno_orbits.experiment.orbit_table import (
     measurement,
 )
 from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model import Problem
+from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.orbits import Cycle
 
 _AT_ONCE = 1 << 18
 
@@ -45,7 +46,7 @@ class GapModel:
     Attributes:
         nodes: Gap over time from release to release, and its rate.
         flights: Its flights, the hops among them.
-        restitution: Restitution of the orbit.
+        restitution: Restitution of the orbit's first impact.
         zeno_time: [s].
         period: [s].
     """
@@ -85,10 +86,16 @@ def gap_model(table: OrbitTable, problem: Problem, period: float) -> GapModel:
     return GapModel(
         nodes=nodes,
         flights=flights,
-        restitution=dynamics.restitution,
+        restitution=_first_restitution(dynamics, cycle),
         zeno_time=table.zeno_time * stretch,
         period=period,
     )
+
+
+def _first_restitution(dynamics: HybridDynamics, cycle: Cycle) -> float:
+    if not cycle.impacts:
+        return dynamics.restitution
+    return dynamics.restitution_of(-cycle.impacts[0].approach_rate)
 
 
 def recorded_gap(table: OrbitTable, problem: Problem, recording: Recording) -> Vector | None:

@@ -124,7 +124,7 @@ class _Follower:
         built = machine(problem, rig)
         self._graph = problem.graph_dynamics(values)
         views = self._graph.open_views
-        e = [view.restitution for view in views]
+        self._views, e = views, [view.restitution for view in views]
         self._numbers_of = damping_numbers(dict(zip(built.stop_names, e, strict=False)))
         self._owns = tuple(view.own for view in views)
         own = self._owns[0]
@@ -341,10 +341,18 @@ class _Follower:
         if stop in self._mode.touched:
             rate = float(rates[stop])
             self._began[stop] = (self._time, self._y, rate)
-            number = self._numbers_of[stop] / max(-rate, self._rig.contact.slowest)
-            self._numbers[self._numbers.size - rates.size + stop] = number
+            factor = self._damping_number(stop, -rate) / max(-rate, self._rig.contact.slowest)
+            self._numbers[self._numbers.size - rates.size + stop] = factor
         else:
             self._leave(stop, float(rates[stop]))
+
+    def _damping_number(self, stop: int, speed: float) -> float:
+        """Return the damping number of a contact that begins at a speed."""
+        view = self._views[stop]
+        if view.restitution_at is None:
+            return self._numbers_of[stop]
+        name = self._machine.stop_names[stop]
+        return damping_numbers({name: view.restitution_of(speed)})[0]
 
     def _leave(self, stop: int, rate: float, *, forever: bool = False) -> None:
         start, state, approach = self._began.pop(stop)

@@ -140,7 +140,7 @@ class HybridDynamics:
             raise InputError(f"Argument `restitution` {message}{reason}")
         if self.restitution_at is not None and not 0.0 < self.restitution < 1.0:
             raise InputError(
-                "Argument `restitution` must have a limit between 0 and 1 at speed 0, if it depends "
+                "Argument `restitution` must have a limit between 0 and 1 at speed 0 if it depends "
                 f"on `impact_speed`, but the limit is {float(self.restitution):.6g}."
             )
 

@@ -306,10 +306,8 @@ class EventQuantities:
         matrix = graph.delassus(x)
         along, kept = _direction(graph, impact, matrix)
         view = graph.view((kept, graph.open_mode[1]), k)
-        e = view.restitution
-        yields = float(along @ matrix @ along)
-        part, by_e = (e**2 / 2, e) if rest else ((1 - e**2) / 2, -e)
-        value = part * speed**2 / yields
+        yields, after = float(along @ matrix @ along), view.speed_after(-speed)
+        value = (after**2 if rest else speed**2 - after**2) / 2 / yields
         if not self.shifts:
             return Reading(value=value, by=np.zeros(0))
         if view.differentiation is None:
@@ -319,10 +317,11 @@ class EventQuantities:
         gradient = np.einsum("i,ijm,j->m", along, by_matrix, along)
         by_yields = gradient[:n_x] @ one.shift.state
         by_yields[n_x:] += gradient[n_x:]
-        by = -2 * part * speed / yields * one.shift.rate - value / yields * by_yields
-        restitution = view.differentiation.by(self.parameters).restitution
-        by[n_x:] += by_e * speed**2 / yields * np.ravel(restitution)
-        return Reading(value=value, by=by)
+        by_rate, *by_parameters = view.differentiation.by(self.parameters).speed_after(-speed)
+        faster = by_rate * one.shift.rate
+        faster[n_x:] += np.array(by_parameters)
+        by = (after if rest else -after) * faster - (0.0 if rest else speed) * one.shift.rate
+        return Reading(value=value, by=by / yields - value / yields * by_yields)
 
 
 def event_quantity_names(graph: GraphDynamics) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from typing import Any, cast
 
 import casadi as ca
 
-from zeno_orbits.errors import TranslationError
+from zeno_orbits.errors import SpeedLawError, TranslationError
 from zeno_orbits.model import CharacteristicScales, CompletedSystem, Problem
 
 
@@ -96,10 +96,13 @@ def proof_expressions(
             and the carried parameters. The default is 1 for all units.
 
     Raises:
-        TranslationError: If an operation is not analytic.
+        TranslationError: If an operation is not analytic, or the restitution depends on the impact
+            speed.
     """
     symbols = problem.symbols()
     system = problem.one_stop_model(symbols)
+    if system.law.of_speed is not None:
+        raise SpeedLawError
     x, p = system.state, ca.vertcat(*symbols.values())
     given = [
         system.free_flow,

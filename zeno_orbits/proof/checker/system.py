@@ -156,9 +156,10 @@ def bound_system(
     bits = next(iter(numbers.values())).bits
     x = [graph.put("input") for _ in range(n_x)]
     p = {name: graph.put("input") for name in numbers}
-    free, _, contact, along, (law, *_), rows = walked(
+    free, _, contact, along, (law, *faster), rows = walked(
         formulas.function, graph, [x, list(p.values())]
     )
+    require(not faster, "its restitution depends on the impact speed, and Lemma 10 has a constant")
     gap = contact[0]
     require_analytic(graph, [*free, gap, *along, law, *rows])
     constant = set(x).isdisjoint(graph.needed([law]))

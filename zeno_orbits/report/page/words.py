@@ -154,14 +154,13 @@ def story(
     if not orbit.has_phases:
         return f"{said}{repeats} {_events(orbit)}"
     if len(execution.zeno_points) == 1:
-        return f"{said}{repeats} {_one_zeno_point(orbit, execution.zeno_points[0].time)}"
+        return f"{said}{repeats} {_one_zeno_point(orbit, execution)}"
     count, points = len(execution.impacts), len(execution.zeno_points)
     if not points:
         return (
             f"{said}{repeats} The moving part hits its stop and flies on, {count} times per period."
         )
-    e = orbit.parameters.get("restitution", 0.0)
-    if e == 0.0:
+    if _slow_restitution(orbit, execution) == 0.0:
         return (
             f"{said}{repeats} The moving part hits its stop {count} times. Each impact takes all "
             f"of its speed, and {points} times it stays on the stop for a while."
@@ -191,8 +190,19 @@ def _events(orbit: Orbit) -> str:
     return f"In each period, in this order: {'; '.join(phrases)}."
 
 
-def _one_zeno_point(orbit: Orbit, zeno: float) -> str:
-    e, first = orbit.parameters.get("restitution", 0.0), orbit.impacts[0].time
+def _slow_restitution(orbit: Orbit, execution: Execution) -> float:
+    """Return the restitution of the slowest impacts, from their speeds if no parameter is that."""
+    if "restitution" in orbit.parameters:
+        return orbit.parameters["restitution"]
+    if all(zeno.tail == 0.0 for zeno in execution.zeno_points):
+        return 0.0
+    before, last = (impact.approach_rate for impact in execution.impacts[-2:])
+    return last / before
+
+
+def _one_zeno_point(orbit: Orbit, execution: Execution) -> str:
+    e, first = _slow_restitution(orbit, execution), orbit.impacts[0].time
+    zeno = execution.zeno_points[0].time
     flight = f"The moving part leaves its stop, flies for {first:.4g} s and hits it."
     if e > 0.0:
         hits = (

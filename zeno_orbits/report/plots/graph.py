@@ -53,7 +53,7 @@ def plot_graph(problem: Problem, values: ParameterValues, *, width: float = COLU
         ax.set_axis_off()
     has_motors = problem.compiled().motors.numel_out(0) > 0
     kind = "electromechanical hybrid" if has_motors else "hybrid"
-    _draw_system(panels[0], f"(a) simple {kind} system", values.parameters["restitution"])
+    _draw_system(panels[0], f"(a) simple {kind} system", problem.first_system(values).restitution)
     _draw_completion(panels[1], "(b) its completion", _states(problem))
     return figure
 

@@ -138,11 +138,11 @@ def plot_beside_zeno_point(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> F
         ax.plot(*_gap_and_rate(two.dynamics, path.states), **_MODEL[path.kind])
     for impact in two.model.impacts:
         rate = impact.approach_rate
-        ax.plot([0.0, 0.0], [rate, -two.dynamics.restitution * rate], **JUMP)
+        ax.plot([0.0, 0.0], [rate, two.dynamics.speed_after(rate)], **JUMP)
     other = _gap_and_rate(two.dynamics, two.other.states)
     ax.plot(*other, label=two.other.label, **_OTHER)
     ax.plot(0.0, 0.0, label="Zeno point", **ZENO)
-    fast = two.dynamics.restitution * -zoom.impacts[0].approach_rate
+    fast = two.dynamics.speed_after(zoom.impacts[0].approach_rate)
     # The range of the rebounds, or without rebounds the range of the last part of the flight.
     high = max((float(np.max(zoom.gaps(arc)[1])) for arc in zoom.flights), default=0.0)
     if high == 0.0:

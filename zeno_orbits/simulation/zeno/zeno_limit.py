@@ -83,9 +83,9 @@ def law_error(
     r"""Return the error of a limit that the change of the restitution with the speed causes.
 
     The estimates assume that the tail contracts by :math:`e(0)`. At a constant gap acceleration
-    the sums of the speeds give their errors exactly, for any law, and the extrapolation is applied
-    to these errors. A law that is analytic at speed zero leaves almost nothing. A law with a kink or
-    a root leaves an error until the last impacts are slow enough.
+    the sums of the speeds give their errors exactly, for any law, and the extrapolation applies to
+    these errors. A law that is analytic at speed zero leaves almost nothing. A law with a kink or a
+    root leaves an error until the last impacts are slow enough.
 
     Args:
         dynamics: The system.
