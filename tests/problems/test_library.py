@@ -140,6 +140,19 @@ def test_the_ball_on_the_table_flies_and_bounces_as_its_closed_form(
     )
 
 
+@pytest.mark.parametrize(("fall", "amplitude"), [(0.2, 0.015), (0.4, 0.013), (0.0, 0.014)])
+def test_the_marble_flies_and_bounces_as_its_recursion(
+    fall: float, amplitude: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changes = {"fall": fall, "A": amplitude}
+    words = [part for name, value in changes.items() for part in ("--set", f"{name}={value}")]
+    p = _parameters("marble_table", **changes)
+    known = truth.vibrating_table(p)
+    _hold_orbit(
+        _answer(capsys, "search", "marble_table", *words), "speed", known, 2 * math.pi / p["omega"]
+    )
+
+
 def test_a_table_that_shakes_by_less_than_gravity_throws_no_ball(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

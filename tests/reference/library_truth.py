@@ -96,9 +96,11 @@ class Flight:
 
 
 def vibrating_table(p: Numbers) -> Sequence:
-    """Return the impacts after the take-off of the ball on its table."""
+    """Return the impacts after the take-off of the ball or marble on its table."""
     with mp.workdps(DIGITS):
         g, a, w, e = (mpf(p[name]) for name in ("g", "A", "omega", "restitution"))
+        # The marble's restitution falls with the speed.
+        fall = mpf(p.get("fall", 0))
 
         def after(t: Any, x: Any, s: Any) -> Any:
             ahead, here = w * (t + s), w * t
@@ -111,7 +113,7 @@ def vibrating_table(p: Numbers) -> Sequence:
             gap=lambda _, x: x[0],
             rate=lambda _, x: x[1],
             acceleration=lambda t, _: a * w**2 * mp.sin(w * t) - g,
-            reset=lambda _, x: (mpf(0), -e * x[1]),
+            reset=lambda _, x: (mpf(0), -(e + fall * x[1]) * x[1]),
             step=float(0.02 / w),
         )
         return flight.sequence(mp.asin(g / (a * w**2)) / w, (mpf(0), mpf(0)), e)

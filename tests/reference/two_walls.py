@@ -33,7 +33,8 @@ class TwoWalls:
         force: Amplitude of the force.
         omega: Its frequency.
         walls: Upper and lower end of the way of the mass.
-        restitutions: Restitution of each.
+        restitutions: Restitution of each, at speed zero.
+        falls: Fall of each with the impact speed.
     """
 
     c: float
@@ -41,6 +42,7 @@ class TwoWalls:
     omega: float
     walls: tuple[float, float]
     restitutions: tuple[float, float]
+    falls: tuple[float, float] = (0.0, 0.0)
 
     def flown(self, t: float, x: float, v: float, s: float) -> tuple[float, float]:
         """Return the state after a flight of `s` from a state at `t`."""
@@ -131,7 +133,7 @@ def _motion(
             mark = next(marks)
             continue
         e, side = machine.restitutions[wall], 1.0 if wall == 0 else -1.0
-        x, v = side * machine.walls[wall], -e * v
+        x, v = side * machine.walls[wall], -(e - machine.falls[wall] * abs(v)) * v
         yield t, "impact", (x, v)
         press = side * machine.pull(t, x)
         if press > 0.0 and abs(v) < _SLOW * press:

@@ -131,6 +131,11 @@ class HybridDynamics:
             object.__setattr__(self, "differentiation", None)
         if self.formulas is not None and self.formulas.parts != self.formula_parts:
             object.__setattr__(self, "formulas", None)
+        if self.restitution_at is not None and not 0.0 < self.restitution < 1.0:
+            raise InputError(
+                "Argument `restitution` must have a limit between 0 and 1 at speed 0 if it depends "
+                f"on `impact_speed`, but the limit is {round(float(self.restitution), 9) + 0.0:g}."
+            )
         if not 0.0 <= self.restitution <= 1.0:
             # All digits: a formula may exceed 1 by rounding.
             message = f"must lie in [0, 1] at these values, but it is {float(self.restitution)}"
@@ -138,11 +143,6 @@ class HybridDynamics:
             if self.restitution < 0.0:
                 reason = "."
             raise InputError(f"Argument `restitution` {message}{reason}")
-        if self.restitution_at is not None and not 0.0 < self.restitution < 1.0:
-            raise InputError(
-                "Argument `restitution` must have a limit between 0 and 1 at speed 0 if it depends "
-                f"on `impact_speed`, but the limit is {float(self.restitution):.6g}."
-            )
 
     def restitution_of(self, speed: float) -> float:
         """Return the restitution of an impact.
