@@ -169,6 +169,8 @@ class Walk:
             if events and self._arcs[self.place].ending is Ending.ZENO:
                 end = self._here
             passages.append(self._passage(one.start, end))
+        if not passages:
+            return []
         self._bounces = []
         for impact, after in struck if not self.is_over else ():
             self._bounces = perturbations.joined(self._bounces, impact, after)
