@@ -24,6 +24,7 @@ from .api import recovery as recovery
 from .api import reduced_model_errors as reduced_model_errors
 from .api import report_page as report_page
 from .api import rig_recording as rig_recording
+from .api import scatter as scatter
 from .api import sample_execution as sample_execution
 from .api import search_gains as search_gains
 from .api import simulate as simulate
@@ -61,6 +62,8 @@ from .maps.pushes import Pushes as Pushes
 from .maps.pushes import PushSettings as PushSettings
 from .maps.recovery import Recovery as Recovery
 from .maps.recovery import RecoverySettings as RecoverySettings
+from .maps.scatter import Scatter as Scatter
+from .maps.scatter import ScatterSettings as ScatterSettings
 from .model.contact import impact_speed as impact_speed
 from .model.drives.auxiliary import Auxiliary as Auxiliary
 from .model.drives.circuits import Circuit as Circuit
@@ -208,6 +211,8 @@ __all__ = [
     "Rig",
     "RigRun",
     "RigSettings",
+    "Scatter",
+    "ScatterSettings",
     "SearchResult",
     "SearchSettings",
     "Sensors",
@@ -277,6 +282,7 @@ __all__ = [
     "rig_recording",
     "sample_execution",
     "save_figure",
+    "scatter",
     "search_event_gains",
     "search_gains",
     "simulate",

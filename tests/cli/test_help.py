@@ -51,7 +51,7 @@ EVERY = tuple(
 
 def test_every_command_is_known_to_the_tests_of_its_examples() -> None:
     elsewhere = {"new", "continue", "compare", "identify", "report", "figures", "prove", "export"}
-    elsewhere |= {"push", "recovery", "feedback", "stability", "read"}
+    elsewhere |= {"push", "recovery", "feedback", "scatter", "stability", "read"}
     assert set(EVERY) == {*COMMANDS, *elsewhere, "completion", "cache"}
 
 

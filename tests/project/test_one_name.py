@@ -44,6 +44,7 @@ SAME = {
     "push": ["largest_push"],
     "recovery": ["recovery"],
     "feedback": ["design_feedback"],
+    "scatter": ["scatter"],
     "work-precision": ["work_precision"],
     "rig": ["simulate_rig", "simulate_experiment", "simulate_periods"],
     "compare": ["compare"],

@@ -60,6 +60,8 @@ from .pushes import largest_push as largest_push
 from .pushes import push_settings as push_settings
 from .pushes import recovery as recovery
 from .pushes import recovery_settings as recovery_settings
+from .pushes import scatter as scatter
+from .pushes import scatter_settings as scatter_settings
 from .questions import SearchNotes as SearchNotes
 from .questions import free_gains as free_gains
 from .questions import objective_help as objective_help

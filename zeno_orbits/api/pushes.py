@@ -1,4 +1,4 @@
-"""Disturbances of an orbit: the largest impulses, the recovery, and feedback once per period."""
+"""Disturbances of an orbit: the largest impulses, recovery, scatter, feedback once per period."""
 
 from __future__ import annotations
 
@@ -18,7 +18,15 @@ from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import ExecutionPlan, Progress, silent
 
 if TYPE_CHECKING:
-    from zeno_orbits.maps import Feedback, Pushes, PushSettings, Recovery, RecoverySettings
+    from zeno_orbits.maps import (
+        Feedback,
+        Pushes,
+        PushSettings,
+        Recovery,
+        RecoverySettings,
+        Scatter,
+        ScatterSettings,
+    )
 
 
 @front_door
@@ -139,6 +147,52 @@ def design_feedback(
     return feedback_of(
         returns, inputs, method=method, weight=weight, multipliers=multipliers, delay=delay
     )
+
+
+@front_door
+def scatter(
+    orbit: Orbit | str | Path,
+    spread: Mapping[str, float],
+    *,
+    problem: Named | None = None,
+    settings: ScatterSettings | None = None,
+    on_progress: Progress = silent,
+) -> Scatter:
+    """Return the scatter of an orbit whose restitution differs from impact to impact.
+
+    It consists of standard deviations to first order, by exact derivatives, beside those of many
+    simulated periods, and of the mean number of periods until a motion leaves the orbit.
+
+    Args:
+        orbit: The orbit, or its file. It must be stable.
+        spread: Name to standard deviation. ``restitution`` is relative, drawn for every impact on
+            every stop, and ``STOP.restitution`` the same for one stop. The name of a state is
+            absolute, and its noise is added on the section in every period.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        settings: Number of simulated periods, and seed.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If a name is unknown or a value invalid, or the orbit is not closed or unstable.
+    """
+    from zeno_orbits import maps
+
+    orbit = any_orbit(orbit)
+    return maps.scatter_of(
+        problem_of(orbit, problem), orbit, spread, settings=settings, on_progress=on_progress
+    )
+
+
+def scatter_settings(*, periods: int, seed: int) -> ScatterSettings:
+    """Return the settings of a scatter.
+
+    Args:
+        periods: Number of simulated periods.
+        seed: Seed of the simulation.
+    """
+    from zeno_orbits.maps import ScatterSettings
+
+    return ScatterSettings(periods=periods, seed=seed)
 
 
 def recovery_settings(

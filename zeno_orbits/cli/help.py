@@ -15,7 +15,7 @@ COMMANDS = {
     "model": ("problems", "new", "zeno-condition", "reduced-models"),
     "find": ("simulate", "search"),
     "check": ("verify", "stability", "prove"),
-    "explore": ("map", "continue", "push", "recovery", "feedback", "work-precision"),
+    "explore": ("map", "continue", "push", "recovery", "scatter", "feedback", "work-precision"),
     "real machines": ("rig", "read", "compare", "identify", "export"),
     "show": ("plot", "figures", "report"),
     "tools": ("cache", "completion"),
@@ -50,7 +50,7 @@ GROUPS = {
             "--section",
             "--interval",
         ),
-        *("--kind", "--recording", "--directions", "--phases", "--reach"),
+        *("--kind", "--recording", "--directions", "--phases", "--reach", "--spread"),
         *("--inputs", "--method", "--weight", "--multipliers", "--delay", "--extent"),
     ),
     "effort": (

@@ -263,6 +263,20 @@ def add_at(parser: argparse.ArgumentParser) -> None:
     _add_named(parser, "--at", "STATE=VALUE", meaning)
 
 
+def add_spread(parser: argparse.ArgumentParser, usual: str) -> None:
+    """Add what scatters.
+
+    Args:
+        parser: The parser of a command.
+        usual: The default.
+    """
+    meaning = (
+        "relative standard deviation of `restitution` or `STOP.restitution` at each impact, or "
+        f"absolute one of a state in each period (default: {usual})"
+    )
+    _add_named(parser, "--spread", "NAME=VALUE", meaning)
+
+
 def add_problem_file(parser: argparse.ArgumentParser, dest: str = "problem") -> None:
     """Add the file of an orbit's problem."""
     parser.add_argument(

@@ -25,6 +25,7 @@ from zeno_orbits.cli.commands.recordings import add_compare, add_identify, add_r
 from zeno_orbits.cli.commands.recovery import add_recovery
 from zeno_orbits.cli.commands.report_command import add_report
 from zeno_orbits.cli.commands.rig import add_rig
+from zeno_orbits.cli.commands.scatter import add_scatter
 from zeno_orbits.cli.commands.search import add_search
 from zeno_orbits.cli.commands.simulate import add_simulate
 from zeno_orbits.cli.commands.stability import add_stability
@@ -46,7 +47,7 @@ from zeno_orbits.work import BUILD_WATCH
 _COMMANDS = (
     *(add_problems, add_new, add_conditions, add_simulate, add_fidelity),
     *(add_search, add_verify, add_prove, add_map, add_continue, add_push),
-    *(add_stability, add_recovery, add_feedback, add_trade, add_rig),
+    *(add_stability, add_recovery, add_scatter, add_feedback, add_trade, add_rig),
     *(
         add_export,
         add_plot,

@@ -32,3 +32,7 @@ from .pushes import pushed as pushed
 from .recovery import Recovery as Recovery
 from .recovery import RecoverySettings as RecoverySettings
 from .recovery import recovery_of as recovery_of
+from .scatter import Scatter as Scatter
+from .scatter import ScatterRow as ScatterRow
+from .scatter import ScatterSettings as ScatterSettings
+from .scatter import scatter_of as scatter_of

@@ -52,6 +52,8 @@ from zeno_orbits.work import Columns, Progress, TableRepr, require_kinds, silent
 _ACCURATE = SimulationSettings(tolerance=Tolerance(relative=1e-10, absolute=1e-11))
 _FORGOTTEN, _LONGEST = 1e-2, 200
 """Part of its start that a motion remembers before it counts, and most periods until then."""
+_ROUNDING = 1e-12
+"""Part of the size of a state below which its deviation is rounding."""
 _RESTITUTION = "restitution"
 
 
@@ -261,21 +263,21 @@ def _spreads(graph: GraphDynamics, spread: Mapping[str, float]) -> tuple[tuple[f
     own = {f"{name}.{_RESTITUTION}": k for k, name in enumerate(graph.stop_names) if name}
     states = {name: k for k, name in enumerate(graph.state_names)}
     stops, noise = np.zeros(len(graph.stop_names)), np.zeros(len(states))
+    known = (*((_RESTITUTION,) if len(stops) else ()), *own, *states)
     # The deviation of one stop replaces that of all stops.
     for name in sorted(spread, key=lambda one: one != _RESTITUTION):
-        value = finite_number(f"spread {name}", spread[name])
+        if name not in known:
+            raise InputError(f"Argument `spread`: {not_known(name, known, 'name')}")
+        value = finite_number(name, spread[name])
         if value < 0.0 or (name not in states and value >= 1.0):
             wanted = "must not be negative" if name in states else "must lie in [0, 1)"
             raise InputError(f"Argument `spread`: `{name}` {wanted}, but it is {shown(value)}.")
-        if name == _RESTITUTION and len(stops):
+        if name == _RESTITUTION:
             stops[:] = value
         elif name in own:
             stops[own[name]] = value
-        elif name in states:
-            noise[states[name]] = value
         else:
-            known = (*((_RESTITUTION,) if len(stops) else ()), *own, *states)
-            raise InputError(f"Argument `spread`: {not_known(name, known, 'name')}")
+            noise[states[name]] = value
     if not (np.any(stops) or np.any(noise)):
         raise InputError("Argument `spread` must have a positive value: nothing scatters.")
     return tuple(stops.tolist()), noise
@@ -554,7 +556,7 @@ def _rows(
     """Return the rows of the table. States that do not scatter are left out."""
     by_time = np.sum(model.by_start @ covariance * model.by_start, axis=1)
     by_time += np.sum(model.by_impact**2, axis=1)
-    lift = model.chart.section.lift
+    lift, scale = model.chart.section.lift, model.chart.section.scale
     by_state = np.sum(lift @ covariance * lift, axis=1)
     centre = model.chart.section.centre
     times, deviations = [*model.times], [*np.sqrt(np.maximum(by_time, 0.0))]
@@ -568,7 +570,7 @@ def _rows(
     for k, (name, unit) in enumerate(zip(_row_names(model), units, strict=True)):
         values = samples[name]
         deviation = float(np.std(values, ddof=1)) if values.size > 1 else math.nan
-        if k >= len(times) and not linear[k] > 0.0:
+        if k >= len(times) and not linear[k] > _ROUNDING * scale[k - len(times)]:
             continue
         low, high = np.quantile(values, (0.05, 0.95)) if values.size else (math.nan, math.nan)
         found.append(

@@ -123,14 +123,12 @@ class ScatteredMotion:
         raise LostError("the motion does not return within four periods")
 
     def _leg(self, way: _Way) -> Execution:
-        """Return the motion to the next impact or release."""
+        """Return the motion to the next impact. A switch is no start: its guard is zero there."""
         left = _PATIENCE * self.period - way.time
         if not left > 0.0:
             raise LostError("the motion does not return within four periods")
         try:
-            return simulate(
-                self.graph, way.x, until=left, impacts=1, releases=1, settings=self.settings
-            )
+            return simulate(self.graph, way.x, until=left, impacts=1, settings=self.settings)
         except (SimulationError, InputError) as error:
             raise LostError(f"the motion cannot be continued: {error}") from error
 
@@ -151,7 +149,6 @@ class ScatteredMotion:
         way.x = np.asarray(state_after(event))
         if not way.names and isinstance(event, Release) and name == self.sequence[-1]:
             # By rounding a start at a release may be in contact for a while.
-            way.time = 0.0
             return None
         if isinstance(event, ZenoPoint) and event.tail > 0.0:
             raise LostError(f"impacts on `{event.stop}` accumulate beside another stop")

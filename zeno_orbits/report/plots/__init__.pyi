@@ -18,6 +18,7 @@ from .pushes import plot_pushes as plot_pushes
 from .recording import plot_comparison as plot_comparison
 from .region import has_zeno_region as has_zeno_region
 from .region import plot_zeno_set as plot_zeno_set
+from .scatter import plot_scatter as plot_scatter
 from .style import COLUMN_WIDTH as COLUMN_WIDTH
 from .style import FULL_WIDTH as FULL_WIDTH
 from .style import rendered as rendered

@@ -34,6 +34,7 @@ from .studies import print_families as print_families
 from .studies import print_map as print_map
 from .studies import print_pushes as print_pushes
 from .studies import print_recovery as print_recovery
+from .studies import print_scatter as print_scatter
 from .studies import print_reduction_costs as print_reduction_costs
 from .studies import print_feedback as print_feedback
 from .studies import print_stability as print_stability

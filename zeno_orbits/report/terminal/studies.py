@@ -33,7 +33,15 @@ from zeno_orbits.work import decimal_below
 
 if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, Family, SpecialCurve, SpecialPoint
-    from zeno_orbits.maps import Attractor, Feedback, ParameterMap, Pushes, Recovery
+    from zeno_orbits.maps import (
+        Attractor,
+        Feedback,
+        ParameterMap,
+        Pushes,
+        Recovery,
+        Scatter,
+        ScatterRow,
+    )
     from zeno_orbits.orbits import Stability
     from zeno_orbits.precision import ReductionCost, TimedSetting, WorkPrecision
     from zeno_orbits.proof import Proof
@@ -173,6 +181,37 @@ def print_recovery(found: Recovery) -> None:
     if extents:
         print_lines([""])
         print_table(extent_columns(found), extents)
+
+
+def print_scatter(found: Scatter) -> None:
+    """Print the scatter of an orbit: what scatters, how long it lasts, and a table."""
+    told = ", ".join(f"{name} {value:g}" for name, value in found.spread.items())
+    print_lines([f"Scatter of {found.problem}, standard deviations: {told}.", _lasts(found)])
+    for reason, count in found.reasons.items():
+        print_lines([f"{count} of {found.lost}: {reason}."])
+    columns: list[Column[ScatterRow]] = [
+        name_column("quantity", lambda row: with_unit(row.name, f"[{row.unit}]")),
+        number_column("orbit", lambda row: f"{row.orbit:.6g}"),
+        number_column("linear", lambda row: f"{row.linear:.3g}"),
+        number_column("simulated", lambda row: f"{row.deviation:.3g}"),
+        number_column("+-", lambda row: f"{row.error:.1g}"),
+        number_column("5 %", lambda row: f"{row.low:.6g}"),
+        number_column("95 %", lambda row: f"{row.high:.6g}"),
+    ]
+    print_lines([""])
+    print_table(columns, found.rows)
+
+
+def _lasts(found: Scatter) -> str:
+    """Return how many periods a motion stays on its orbit."""
+    low, high = found.periods_until_lost_interval
+    many = counted(found.simulated, "period")
+    if not found.lost:
+        return f"{many} simulated, none lost: more than {low:.3g} until a loss (95 %)."
+    mean = f"{found.periods_until_lost:.3g}"
+    return (
+        f"{many} simulated, {found.lost} lost: {mean} until a loss (95 %: {low:.3g} to {high:.3g})."
+    )
 
 
 def print_stability(found: Stability) -> None:
