@@ -65,6 +65,9 @@ def test_laws_that_differ_only_at_speed_have_other_equations() -> None:
     marble = digest_of(ball(LAWS["linear"]))
     assert same_equations(marble, digest_of(ball(LAWS["linear"])))
     assert not same_equations(marble, digest_of(ball(LAWS["exponential"])))
+    # Of a micromechanism, whose law does not hold at 1 m/s.
+    small, other = (ball(lambda v, p, _, c=c: p["e0"] - c * v) for c in (1e4, 1.5e4))
+    assert not same_equations(digest_of(small), digest_of(other))
 
 
 def test_a_proof_is_refused_with_the_missing_lemma() -> None:

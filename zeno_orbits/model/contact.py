@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -27,8 +27,8 @@ SLOWEST = 2.0**-332
 At zero itself a power has no derivative, and a power of two does not round.
 """
 
-_SPEEDS = (0.75, 1.5, 3.0)
-"""Speeds at which two laws of impact are compared."""
+_SPEEDS = (1e-6, 1e-3, 0.75, 1.5, 3.0)
+"""Speeds at which two laws of impact are compared, of small and of large machines."""
 
 GAP, GAP_RATE, GAP_ACCELERATION, MULTIPLIER, MULTIPLIER_RATE = range(5)
 """Indices of the contact quantities in a vector, or rows in its derivative."""
@@ -91,8 +91,8 @@ class ImpactLaw(NamedTuple):
         slowest = ca.SX(self.restitution)
         if self.of_speed is None:
             return slowest
-        others = [ca.fmax(ca.fmin(self.at(speed), 2), -1) for speed in _SPEEDS]
-        return cast("ca.SX", ca.vertcat(slowest, *others))
+        others = [ca.SX(self.at(speed)) for speed in _SPEEDS]
+        return ca.vertcat(slowest, *(ca.fmax(one / (1 + ca.fabs(one)), -1) for one in others))
 
     def at(self, speed: Any) -> Any:
         """Return the restitution of impacts at a speed."""
@@ -114,7 +114,7 @@ def at_impact_speed(formula: Any, speed: Any) -> ca.SX:
         formula: A formula of parameters and `impact_speed`.
         speed: The speed, a number or a formula.
     """
-    return cast("ca.SX", ca.substitute(ca.SX(formula), impact_speed, ca.SX(speed)))
+    return ca.substitute(ca.SX(formula), impact_speed, ca.SX(speed))
 
 
 def require_zeno_points(restitution: float, stop: str = "") -> None:

@@ -186,12 +186,15 @@ class Problem(Declared):
         """
         try:
             system = cast("object", self.model(self.symbols()))
-            is_one = isinstance(system, CompletedSystem) and system.graph is None
         except LookupError:
             return True
         except (ArithmeticError, RuntimeError, TypeError, ValueError):
             return False
-        return is_one and system.law.of_speed is None
+        return (
+            isinstance(system, CompletedSystem)
+            and system.graph is None
+            and system.law.of_speed is None
+        )
 
     def one_stop_model(self, symbols: Mapping[str, ca.SX]) -> CompletedSystem:
         """Return the completed system of a machine with one stop and no declared switch.

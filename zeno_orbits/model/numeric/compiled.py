@@ -140,7 +140,7 @@ class CompiledSystem:
 
     def law_at(self, p: Any) -> ImpactLaw:
         """Return the law of an impact at symbols or values of the parameters."""
-        slowest = self.impulse(ca.DM.zeros(self.n_x), p)[2][0]
+        slowest = cast("Any", self.impulse)(ca.DM.zeros(self.n_x), p)[2][0]
         return ImpactLaw(
             slowest, None if self.coefficient is None else partial(self.coefficient, p)
         )
