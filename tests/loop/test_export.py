@@ -65,7 +65,8 @@ def _expected(name: str, until: float, **numbers: float) -> list[tuple[str, list
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param("curved_surface", marks=pytest.mark.slow), "motor_pendulum"]
+    "name",
+    [pytest.param("curved_surface", marks=pytest.mark.slow), "motor_pendulum", "marble_table"],
 )
 def test_an_exported_problem_gives_the_same_to_the_last_digit(name: str) -> None:
     found = _events_of(name, "--until", "3")

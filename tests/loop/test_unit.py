@@ -295,6 +295,27 @@ def test_parameters_that_are_set_before_the_start_are_obeyed(export: Export) -> 
 
 
 @pytest.mark.slow
+def test_a_law_of_the_impact_speed_obeys_its_parameters(export: Export) -> None:
+    numbers = {"restitution": 0.55, "fall": 0.3}
+    run = _execution("marble_table", 2.0, **numbers)
+    unit = Unit(export("marble_table", "--until", "2"))
+    for name, value in numbers.items():
+        assert unit.set(name, value) == OK
+    assert unit.initialize(2.0) == OK
+    times = np.linspace(0.0, 2.0, 151).tolist()
+    found = np.array(_followed(unit, times, run.state_names))
+    expected = np.array([run.state_at(time) for time in times])
+    assert np.max(np.abs(found - expected) / (1.0 + np.abs(expected))) <= 1e-11
+    assert unit.get("zeno_time") == pytest.approx(run.zeno_points[-1].time, rel=1e-12)
+    assert unit.call("Reset") == OK
+    assert unit.set("fall", 2.0) == OK
+    assert unit.initialize(2.0) == OK
+    assert unit.step(0.0, 1.0) == ERROR
+    wanted = "The restitution leaves [0, 1] at the speed of an impact at 0.1327"
+    assert unit.messages[-1].startswith(wanted)
+
+
+@pytest.mark.slow
 def test_hundreds_of_impacts_before_a_zeno_point_are_counted(export: Export) -> None:
     unit = Unit(export("bouncing_ball"))
     assert unit.set("restitution", 0.99) == OK

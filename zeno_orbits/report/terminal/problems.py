@@ -41,13 +41,14 @@ def print_conditions(
         always: Whether d2h/dt2 is negative everywhere (true) or nowhere (false), or ``None`` for
             neither.
     """
-    e = problem.first_system(values).restitution
+    first = problem.first_system(values)
+    e, at = first.restitution, " at speed 0" if first.restitution_at is not None else ""
     print_whole(
         [
             "Theorem 1: Zeno executions exist near a Zeno equilibrium if",
             "  0 <= e < 1   and   d2h/dt2 < 0   there, where\n",
             f"  d2h/dt2 = {formula}\n",
-            f"At the parameters of {problem.name}, e = {e:g}:\n",
+            f"At the parameters of {problem.name}, e = {e:g}{at}:\n",
             f"  d2h/dt2 = {numbers}\n",
         ]
     )
