@@ -112,6 +112,7 @@ SOUND: dict[str, Callable[[], Any]] = {
     "first": motion,
     "second": motion,
     "recording": samples,
+    "spread": lambda: {"restitution": 0.07},
     "run": run,
     "certificate": certificate,
     "dynamics": lambda: ball().dynamics(ball().values()),
@@ -226,7 +227,7 @@ RESULTS = (
     *("Orbit", "EventSearchResult", "Execution", "ExecutionWithError", "Family"),
     *("Identification", "OrbitCertificate", "ParameterMap", "PeriodEnclosure", "Proof"),
     *("ProofVerdict", "Pushes", "Recording", "Recovery", "RigRun", "SearchResult", "SwitchEvent"),
-    *("Feedback", "HeldMotion", "ReturnMap", "ReturnSlopes", "Stability"),
+    *("Feedback", "HeldMotion", "ReturnMap", "ReturnSlopes", "Scatter", "Stability"),
     *("WorkPrecision", "ZenoCondition", "Orbit", "Drawing", "SpecialPointKind", "PwmSettings"),
 )
 """Results, which functions make, and names that are not called."""

@@ -23,7 +23,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -266,6 +266,9 @@ def _spreads(graph: GraphDynamics, spread: Mapping[str, float]) -> tuple[tuple[f
     known = (*((_RESTITUTION,) if len(stops) else ()), *own, *states)
     # The deviation of one stop replaces that of all stops.
     for name in sorted(spread, key=lambda one: one != _RESTITUTION):
+        if not isinstance(cast("object", name), str):
+            wanted = f"must have texts as names, but one is {shown(name)}"
+            raise InputError(f"Argument `spread` {wanted}.")
         if name not in known:
             raise InputError(f"Argument `spread`: {not_known(name, known, 'name')}")
         value = finite_number(name, spread[name])
