@@ -416,6 +416,11 @@ class _Softer(NamedTuple):
     """A law of one number that is none of Newton's."""
 
     restitution: Any
+    of_speed: Any = None
+
+    @property
+    def numbers(self) -> Any:
+        return self.restitution
 
     def speed_after(self, approach_rate: Any) -> Any:
         return -self.restitution * approach_rate * (1 + 1e-9 * approach_rate)

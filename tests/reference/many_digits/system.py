@@ -62,7 +62,9 @@ class ExtendedSystem:
             self._contact = ball_function(compiled.contact, p)
             self._holonomic = ball_function(compiled.holonomic, p)
             self._resting = ball_function(compiled.resting, p)
-            strike = ca.Function("strike", [y[: n_x + 1], q], [struck, *law])
+            strike = ca.Function(
+                "strike", [y[: n_x + 1], q], [struck, law.restitution, law.at(-y[n_x])]
+            )
             self._strike = ball_function(strike, p)
 
     @property
@@ -95,9 +97,9 @@ class ExtendedSystem:
         return state, acceleration, rate
 
     def strike(self, x: State, approach_rate: Real) -> tuple[State, ImpactLaw]:
-        """Return the state after an impact, and the law with its numbers."""
-        after, *law = map(_middles, self._strike([*x, approach_rate]))
-        return after, ImpactLaw(*(number for (number,) in law))
+        """Return the state after an impact, and the law with its numbers for that impact."""
+        after, (slowest,), (here,) = map(_middles, self._strike([*x, approach_rate]))
+        return after, ImpactLaw(slowest, lambda _: here)
 
 
 def along(x: State, length: Real, direction: State) -> State:
