@@ -109,9 +109,9 @@ def test_random_machines_whose_stops_have_laws_of_their_own_have_their_periods()
 
 
 @pytest.mark.slow
-def test_twenty_random_machines_with_laws_have_the_attractors_of_exact_flights() -> None:
+def test_ten_random_machines_with_laws_have_the_attractors_of_exact_flights() -> None:
     drawn = random.Random(6)
-    machines = [law_machine_of(drawn) for _ in range(20)]
+    machines = [law_machine_of(drawn) for _ in range(10)]
     # One of them loses a period doubling after 400 turns only.
     answers = [agrees(one, found_at(one), 1000) for one in machines]
     assert False not in answers
