@@ -1,0 +1,1 @@
+"""Transients of a machine: parameters, initial values and event times by single shooting."""

@@ -1,0 +1,231 @@
+"""Event times of a recording: columns of times, or edges of contact channels.
+
+A column `impact STOP [s]` holds the times of impacts, and `release STOP [s]` those of releases. For
+a machine with one stop the titles are `impact [s]` and `release [s]`. A recording without a column
+of times consists of such columns alone, which may have different lengths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import DataFileError, InputError, not_known
+from zeno_orbits.experiment.recordings.columns import TIMES, ColumnNotes, columns_of
+from zeno_orbits.experiment.recordings.contacts import contact_channels
+from zeno_orbits.experiment.recordings.heads import read_head
+from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording
+from zeno_orbits.experiment.recordings.table import read_table
+from zeno_orbits.experiment.transients.event_labels import Labels, labelled, sequences_of
+from zeno_orbits.simulation import EventKind
+
+_KINDS = {"impact": EventKind.IMPACT, "release": EventKind.RELEASE}
+EVENT_FAMILIES = tuple(_KINDS)
+"""First words of the titles of columns of event times."""
+_CLOSED = 3
+"""Samples of a flight at least that a contact channel resolves."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EventSeries:
+    """The labelled times of the events of one kind at one stop.
+
+    Attributes:
+        kind: Impact or release.
+        stop: Name of the stop.
+        times: Times of the events that are true, ``(n,)`` [s].
+        groups: Sequence of each event, from 0, ``(n,)``.
+        numbers: Index of each event in its sequence, from 0, ``(n,)``.
+        error: Standard error of the times that is known beforehand [s], or zero.
+        missed: Sentences about events that were not recorded.
+        false: Sentences about events that are no events of the machine.
+    """
+
+    kind: EventKind
+    stop: str
+    times: Vector
+    groups: tuple[int, ...]
+    numbers: tuple[int, ...]
+    error: float = 0.0
+    missed: tuple[str, ...] = ()
+    false: tuple[str, ...] = ()
+
+
+def read_event_file(path: Path | str) -> Recording | None:
+    """Return a file of event times alone as a recording, or ``None`` if it has a column of times.
+
+    A single column `time [s]` holds times of impacts.
+
+    Args:
+        path: The file.
+
+    Raises:
+        DataFileError: If the file cannot be parsed.
+    """
+    path = Path(path)
+    head = read_head(path)
+    titles = [title.partition("[")[0].partition("(")[0].strip() for title in head.columns]
+    chosen = [k for k, title in enumerate(titles) if _kind_of(title) is not None]
+    lone = len(titles) == 1 and titles[0].lower() in TIMES
+    if not lone and (not chosen or any(title.lower() in TIMES for title in titles)):
+        return None
+    chosen = [0] if lone else chosen
+    columns = columns_of(head, {}, ColumnNotes())
+    for k in chosen:
+        if columns[k].trouble or columns[k].unit != "s":
+            told = columns[k].trouble or f"column `{titles[k]}` is not in units of time"
+            raise DataFileError(path, f"{told}: write `{titles[k]} [s]`")
+    table = read_table(path, head, chosen)
+    rows = [row * columns[k].size for k, row in zip(chosen, table.values, strict=True)]
+    names = ["impact" if lone else titles[k] for k in chosen]
+    every = np.unique(np.concatenate(rows))
+    every = every[np.isfinite(every)]
+    if len(every) < 2:
+        raise DataFileError(path, "it holds fewer than two event times")
+    return Recording(
+        source=None,
+        problem="",
+        time=every,
+        signals=tuple(
+            RecordedSignal(name=name, unit="s", values=np.where(np.isin(every, row), every, np.nan))
+            for name, row in zip(names, rows, strict=True)
+        ),
+        remarks=table.remarks,
+    )
+
+
+def has_event_times(recording: Recording) -> bool:
+    """Return True if a recording has a column of event times."""
+    return any(_kind_of(name) is not None for name in recording.names)
+
+
+def _kind_of(name: str) -> EventKind | None:
+    return _KINDS.get(name.split(" ")[0].lower()) if name else None
+
+
+def event_series(recording: Recording, stops: Sequence[str]) -> tuple[EventSeries, ...]:
+    """Return the event times of a recording, labelled.
+
+    Args:
+        recording: The recording.
+        stops: Names of the machine's stops.
+
+    Raises:
+        InputError: If a column names no stop, or has another unit.
+    """
+    found: list[EventSeries] = []
+    for signal in recording.signals:
+        kind = _kind_of(signal.name)
+        if kind is None:
+            continue
+        stop = _stop_of(signal.name, stops)
+        if signal.unit != "s":
+            wanted = f"must have the column `{signal.name}` in s"
+            raise InputError(f"Argument `recording` {wanted}, not in {signal.unit}.")
+        times = np.unique(signal.values[np.isfinite(signal.values)])
+        if len(times):
+            found.append(_labelled_series(kind, stop, times))
+    known = {(one.kind, one.stop) for one in found}
+    channels = contact_channels(recording, stops)
+    for stop, row in channels.items():
+        if (EventKind.IMPACT, stop) not in known:
+            edges = _edges(recording.time, row)
+            if len(edges):
+                step = float(np.median(np.diff(recording.time)))
+                found.append(_of_channel(stop, edges, step))
+    return tuple(found)
+
+
+def _stop_of(name: str, stops: Sequence[str]) -> str:
+    """Return the stop that a title names.
+
+    Raises:
+        InputError: If it names none of the machine.
+    """
+    kind, _, stop = name.partition(" ")
+    stop = stop.strip()
+    if len(stops) == 1 and stop in ("", stops[0]):
+        return stops[0]
+    if stop not in stops:
+        known = [f"{kind} {one}".strip() for one in stops]
+        raise InputError(f"Argument `recording`: event column: {not_known(name, known)}")
+    return stop
+
+
+def _labelled_series(kind: EventKind, stop: str, times: Vector) -> EventSeries:
+    """Return event times with their labels. Releases do not accumulate, so all of them are true."""
+    if kind is not EventKind.IMPACT:
+        n = len(times)
+        return EventSeries(
+            kind=kind, stop=stop, times=times, groups=tuple(range(n)), numbers=(0,) * n
+        )
+    kept, groups, numbers = list[float](), list[int](), list[int]()
+    missed, false = list[str](), list[str]()
+    for group, part in enumerate(sequences_of(times)):
+        own = times[part]
+        labels = labelled(own)
+        missed += _missed_words(own, labels, stop)
+        for time, number in zip(own.tolist(), labels.numbers, strict=True):
+            if number is None:
+                false.append(f"the event at {time:.6g} s{_at(stop)} is no bounce")
+                continue
+            kept.append(time)
+            groups.append(group)
+            numbers.append(number)
+    return EventSeries(
+        kind=kind,
+        stop=stop,
+        times=np.array(kept),
+        groups=tuple(groups),
+        numbers=tuple(numbers),
+        missed=tuple(missed),
+        false=tuple(false),
+    )
+
+
+def _missed_words(times: Vector, labels: Labels, stop: str) -> list[str]:
+    """Return a sentence for every impact that was not recorded. Bounces count from 1."""
+    words: list[str] = []
+    known = [(n, t) for n, t in zip(labels.numbers, times.tolist(), strict=True) if n is not None]
+    for number in labels.missed:
+        before = max(t for n, t in known if n < number)
+        after = min(t for n, t in known if n > number)
+        between = f"between {before:.6g} and {after:.6g} s"
+        words.append(f"bounce {number + 1}{_at(stop)} was not heard, {between}")
+    return words
+
+
+def _at(stop: str) -> str:
+    return f" at `{stop}`" if stop else ""
+
+
+def _edges(time: Vector, row: Vector) -> Vector:
+    """Return the times at which a contact channel closes [s]."""
+    known = np.isfinite(row)
+    time, row = time[known], row[known]
+    closes = np.flatnonzero((row[1:] == 1.0) & (row[:-1] == 0.0))
+    return (time[closes] + time[closes + 1]) / 2
+
+
+def _of_channel(stop: str, edges: Vector, step: float) -> EventSeries:
+    """Return the edges of a contact channel as impacts, up to the flights that it resolves."""
+    kept, groups, numbers = list[float](), list[int](), list[int]()
+    for group, part in enumerate(sequences_of(edges)):
+        own = edges[part]
+        short = np.flatnonzero(np.diff(own) < _CLOSED * step)
+        n = int(short[0]) + 1 if len(short) else len(own)
+        kept += own[:n].tolist()
+        groups += [group] * n
+        numbers += range(n)
+    return EventSeries(
+        kind=EventKind.IMPACT,
+        stop=stop,
+        times=np.array(kept),
+        groups=tuple(groups),
+        numbers=tuple(numbers),
+        error=step / np.sqrt(12.0),
+    )
