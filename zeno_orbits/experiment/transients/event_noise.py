@@ -1,0 +1,179 @@
+r"""Jitter of event times and scatter of the restitution, by restricted likelihood.
+
+The deviation of the event times from a motion has the covariance
+
+.. math:: V = \sigma_t^2\,1 + \sigma_e^2\,D D^\mathsf{T}
+
+with the jitter :math:`\sigma_t` [s] and the relative scatter :math:`\sigma_e` of the restitution
+from impact to impact. `D` is the exact derivative of the times with respect to the logarithm of the
+restitution at single impacts. Scatter at one impact moves all later ones, so errors of the times
+are far from independent. The restricted likelihood accounts for the fitted unknowns.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.experiment.transients.shooting import Shooting, event_times, matched
+from zeno_orbits.simulation import Impact
+
+_LEAST = 4
+"""Events more than unknowns from which both variances are estimated."""
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventNoise:
+    """Noise of event times.
+
+    Attributes:
+        jitter: Standard deviation of the recorded times [s].
+        scatter: Standard deviation of the restitution per impact, relative to its value.
+        estimated: Whether the events are enough to estimate both.
+    """
+
+    jitter: float
+    scatter: float
+    estimated: bool
+
+
+def event_noise(shooting: Shooting, z: Vector) -> tuple[EventNoise, tuple[Vector, ...]] | None:
+    """Return the noise of event times and the matrices that whiten them for each trial.
+
+    Args:
+        shooting: The trials.
+        z: Unknowns at an optimum.
+
+    Returns:
+        The noise, or ``None`` if a trial cannot be simulated.
+    """
+    parts = [_linear(shooting, z, k) for k in range(len(shooting.trials))]
+    if any(one is None for one in parts):
+        return None
+    known = [one for one in parts if one is not None]
+    rest = np.concatenate([one[0] for one in known])
+    rows = np.concatenate([one[1] for one in known])
+    blocks = [one[2] for one in known]
+    floor = min((max(one.error, 0.0) for t in shooting.trials for one in t.series), default=0.0)
+    used = rows[:, np.any(rows != 0.0, axis=0)]
+    rank = int(np.linalg.matrix_rank(used / np.linalg.norm(used, axis=0))) if used.size else 0
+    if len(rest) - rank < _LEAST:
+        jitter = max(floor, 2e-3 * _longest(shooting))
+        noise = EventNoise(jitter=jitter, scatter=0.0, estimated=False)
+    else:
+        noise = _likely(rest, used, blocks, floor)
+    return noise, tuple(_whitening(noise, block) for block in blocks)
+
+
+def _longest(shooting: Shooting) -> float:
+    steps = [
+        float(np.max(np.diff(one.times)))
+        for trial in shooting.trials
+        for one in trial.series
+        if len(one.times) > 1
+    ]
+    return max(steps, default=1.0)
+
+
+def _linear(shooting: Shooting, z: Vector, k: int) -> tuple[Vector, Vector, Vector] | None:
+    """Return the event residuals [s], their derivatives, and those by single restitutions."""
+    trial = shooting.trials[k]
+    if not trial.n_events:
+        return np.zeros(0), np.zeros((0, len(z))), np.zeros((0, 0))
+    found = shooting.predicted(k, z, math.inf)
+    if found is None:
+        return None
+    places = [matched(one, found.motion.events(one.kind, one.stop)) for one in trial.series]
+    last = float(np.max(event_times(trial))) - found.offset
+    columns: list[Vector] = []
+    for impact in found.motion.execution.impacts:
+        if impact.time >= last:
+            break
+        column = _column(shooting, k, found.motion, impact, places)
+        if column is not None:
+            columns.append(column)
+    deviations = np.stack(columns, axis=1) if columns else np.zeros((trial.n_events, 0))
+    return event_times(trial) - found.events, found.by_events, deviations
+
+
+def _column(
+    shooting: Shooting, k: int, motion: object, impact: Impact, places: list[list[int | None]]
+) -> Vector | None:
+    """Return the derivatives of the events with respect to the logarithm of one restitution."""
+    from zeno_orbits.experiment.transients.motion import Motion
+
+    if not isinstance(motion, Motion):
+        return None
+    view = shooting.graph.open_views[shooting.graph.stop_names.index(impact.stop)]
+    ratio = float(view.speed_after(impact.approach_rate)) / abs(impact.approach_rate)
+    parts: list[Vector] = []
+    try:
+        for one, found in zip(shooting.trials[k].series, places, strict=True):
+            late = motion.events_after_deviation(impact, one.kind, one.stop)
+            parts.append(np.array([0.0 if j is None else float(late[j]) for j in found]))
+    except SimulationError:
+        # The last impacts before a Zeno point have no derivative of their own.
+        return None
+    return ratio * np.concatenate(parts)
+
+
+def _likely(rest: Vector, rows: Vector, blocks: list[Vector], floor: float) -> EventNoise:
+    """Return the noise of the greatest restricted likelihood."""
+    from scipy.optimize import minimize
+
+    size = math.sqrt(float(rest @ rest) / len(rest)) + 1e-15
+    scaled = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
+    basis = basis[:, sizes > 1e-9 * sizes[0]] if len(sizes) else basis
+    low = math.log(max(floor, 1e-6 * size, 1e-12))
+
+    def negative(x: Vector) -> float:
+        jitter, scatter = math.exp(x[0]), math.exp(x[1])
+        total = 0.0
+        white_rest, white_rows = np.empty_like(rest), np.empty_like(basis)
+        at = 0
+        for block in blocks:
+            n = len(block)
+            covariance = jitter**2 * np.eye(n) + scatter**2 * block @ block.T
+            root = np.linalg.cholesky(covariance + 1e-14 * np.trace(covariance) / n * np.eye(n)) if n else np.zeros((0, 0))
+            total += 2.0 * float(np.sum(np.log(np.diag(root))))
+            white_rest[at : at + n] = np.linalg.solve(root, rest[at : at + n])
+            white_rows[at : at + n] = np.linalg.solve(root, basis[at : at + n])
+            at += n
+        information = white_rows.T @ white_rows
+        by = white_rows.T @ white_rest
+        total += float(np.linalg.slogdet(information)[1])
+        return total + float(white_rest @ white_rest - by @ np.linalg.solve(information, by))
+
+    bounds = ((low, math.log(10.0 * size)), (-11.5, 0.0))
+    best = min(
+        (
+            minimize(
+                negative,
+                np.clip(x, [one[0] for one in bounds], [one[1] for one in bounds]),
+                method="Nelder-Mead",
+                bounds=bounds,
+                options={"xatol": 1e-3, "fatol": 1e-4, "maxiter": 200},
+            )
+            for x in ([math.log(size), -6.0], [math.log(size) - 3.0, -4.0], [math.log(size), -9.0])
+        ),
+        key=lambda one: one.fun,
+    )
+    return EventNoise(
+        jitter=math.exp(best.x[0]), scatter=math.exp(best.x[1]), estimated=True
+    )
+
+
+def _whitening(noise: EventNoise, block: Vector) -> Vector:
+    """Return the inverse root of the covariance of the events of a trial."""
+    n = len(block)
+    if not n:
+        return np.zeros((0, 0))
+    covariance = noise.jitter**2 * np.eye(n) + noise.scatter**2 * block @ block.T
+    root = np.linalg.cholesky(covariance + 1e-14 * np.trace(covariance) / n * np.eye(n))
+    return np.asarray(np.linalg.inv(root), dtype=np.float64)

@@ -1,0 +1,112 @@
+r"""Profile intervals of the shared unknowns, and the noise that they rest on.
+
+With the sum of squares `S`, its minimum over all other unknowns is the profile
+:math:`S_p(z_k)`. The 95 % interval is
+:math:`S_p(z_k) - S \le s^2 t^2`, where :math:`s^2 = S / (n - p)` and `t` is the quantile of
+Student's distribution with :math:`n - p` degrees of freedom. If the residuals have structure,
+:math:`s^2` is multiplied by :math:`n / n_\text{eff}`, with the effective number of samples by their
+autocorrelation.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.transients.shooting import Shooting
+from zeno_orbits.experiment.transients.staged_fit import Fit, LostStartError, fitted
+
+_ROUNDS = 3
+"""Refits per end of an interval, at most."""
+_NEAR = 0.02
+"""Relative error of the end of an interval."""
+_STEPS = 12
+
+
+def covariance_of(fit: Fit) -> Vector:
+    """Return the inverse of the information of a fit, ``(n_z, n_z)``.
+
+    Args:
+        fit: The optimum.
+    """
+    size = np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-300)
+    scaled = fit.jacobian / size
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
+    return np.asarray(inverse / np.outer(size, size), dtype=np.float64)
+
+
+def degrees(fit: Fit) -> int:
+    """Return the degrees of freedom of a fit."""
+    return max(len(fit.rest) - int(np.linalg.matrix_rank(fit.jacobian)), 1)
+
+
+def profile_ends(
+    shooting: Shooting, fit: Fit, k: int, inflation: float
+) -> tuple[float, float]:
+    """Return the ends of the 95 % interval of an unknown.
+
+    Args:
+        shooting: The trials.
+        fit: The optimum.
+        k: Index of the unknown.
+        inflation: Ratio of the errors to those for independent residuals.
+    """
+    from scipy.stats import t as student
+
+    freedom = degrees(fit)
+    limit = float(student.ppf(0.975, freedom)) * inflation
+    scale = math.sqrt(fit.cost / freedom)
+    covariance = covariance_of(fit)
+    error = scale * math.sqrt(max(covariance[k, k], 0.0))
+    low, high = shooting.bounds
+    ends: list[float] = []
+    for sign in (-1.0, 1.0):
+        far = sign * limit * error
+        edge = float((low if sign < 0.0 else high)[k]) - fit.z[k]
+        ends.append(_end(shooting, fit, k, far, edge, limit * scale, covariance[k]))
+    return fit.z[k] + ends[0], fit.z[k] + ends[1]
+
+
+def _end(
+    shooting: Shooting, fit: Fit, k: int, far: float, edge: float, limit: float, row: Vector
+) -> float:
+    """Return the change of an unknown at which the root of the excess reaches the limit.
+
+    Args:
+        shooting: The trials.
+        fit: The optimum.
+        k: Index of the unknown.
+        far: Change by the linearized interval.
+        edge: Change up to the bound.
+        limit: Root of the excess of the sum of squares at the end.
+        row: Row of the unknown in the covariance.
+    """
+    if far == 0.0 or not math.isfinite(far):
+        return edge
+    inner, at_inner = 0.0, 0.0
+    step = math.copysign(min(abs(far), abs(edge) * 0.999), far)
+    z = fit.z.copy()
+    for _ in range(_ROUNDS):
+        start = z + (fit.z[k] + step - z[k]) * row / max(row[k], 1e-300)
+        start[k] = fit.z[k] + step
+        try:
+            one = fitted(shooting, start, fixed=k, steps=_STEPS)
+        except LostStartError:
+            return inner or step
+        root = math.sqrt(max(one.cost - fit.cost, 0.0))
+        if abs(root / limit - 1.0) < _NEAR or (root < limit and abs(step) >= 0.998 * abs(edge)):
+            return step
+        # A chord from the last end inside the interval, or from the optimum.
+        if root < limit:
+            inner, at_inner, z = step, root, one.z
+        slope = (root - at_inner) / (step - inner) if step != inner and root != at_inner else 0.0
+        if slope == 0.0 or root == 0.0:
+            step = 2.0 * step
+        elif root < limit:
+            step *= min(limit / root, 3.0)
+        else:
+            step = inner + (limit - at_inner) / slope
+        step = math.copysign(min(abs(step), 0.999 * abs(edge)), far)
+    return step

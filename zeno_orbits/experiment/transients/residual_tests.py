@@ -1,0 +1,258 @@
+r"""Tests of the residuals of a fit: is structure left, and does every impact have the same law?
+
+The score test asks whether a deviation of the restitution at single impacts would improve the fit.
+With the derivative `D` of the residuals with respect to these deviations, projected off the
+Jacobian of the fit,
+
+.. math:: F = \frac{|P_D r|^2 / \operatorname{rank} D}{|r - P_D r|^2 / (n - p - \operatorname{rank} D)}
+
+has an F distribution if the law is right. Neighbouring residuals that are alike are found by the
+ratio of von Neumann, :math:`\sum (r_{i+1} - r_i)^2 / \sum r_i^2`, which is 2 for white residuals.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.experiment.transients.shooting import Shooting, event_times, matched
+from zeno_orbits.experiment.transients.staged_fit import Fit
+from zeno_orbits.simulation import Impact
+
+_MOST = 8
+"""Impacts per stop and trial with a deviation of their own."""
+_RESOLVED = 3.0
+"""Sampling times of a flight that is resolved."""
+_RARE = 1e-3
+"""Probability below which a test finds structure."""
+_LOUD = 1.25
+"""Ratio of the residuals to the noise from which structure is left."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResidualTests:
+    """Tests of the residuals.
+
+    Attributes:
+        misfit: Ratio of the residuals of the samples to the noise of the channels by their third
+            differences. NaN without samples.
+        alike: Probability of neighbouring residuals as alike as these, if they are white.
+        law: Probability of a score as large as this by stop, if every impact has the same law.
+        inflation: Ratio of the errors to those for independent residuals.
+    """
+
+    misfit: float
+    alike: float
+    law: dict[str, float]
+    inflation: float
+
+    @property
+    def law_differs(self) -> tuple[str, ...]:
+        """Stops whose impacts do not have the same law."""
+        return tuple(stop for stop, p in self.law.items() if p < _RARE)
+
+    @property
+    def has_structure(self) -> bool:
+        """True if the model does not explain the recording."""
+        return self.misfit > _LOUD or self.alike < _RARE or bool(self.law_differs)
+
+
+def tested(shooting: Shooting, fit: Fit, noise: tuple[Vector, ...]) -> ResidualTests:
+    """Return the tests of the residuals of a fit.
+
+    Args:
+        shooting: The trials.
+        fit: The optimum.
+        noise: Noise of the channels of each trial by their third differences, ``(n_s,)``.
+    """
+    channels = _channels(shooting, fit)
+    squares, count = 0.0, 0
+    for (k, s), row in channels.items():
+        ratio = shooting.trials[k].noise[s] / noise[k][s]
+        squares += float(row @ row) * ratio**2
+        count += len(row)
+    lost = count / max(count - len(fit.z), 1)
+    return ResidualTests(
+        misfit=math.sqrt(squares / count * lost) if count else math.nan,
+        alike=_alike(list(channels.values())),
+        law=_laws(shooting, fit),
+        inflation=_inflation(list(channels.values())),
+    )
+
+
+def _channels(shooting: Shooting, fit: Fit) -> dict[tuple[int, int], Vector]:
+    """Return the residuals of every channel of every trial in order of time."""
+    found: dict[tuple[int, int], Vector] = {}
+    at = 0
+    for k, trial in enumerate(shooting.trials):
+        n = int(trial.seen.sum())
+        rows = np.full(trial.seen.shape, np.nan)
+        rows[trial.seen] = fit.rest[at : at + n]
+        at += n + trial.n_events
+        for s in range(rows.shape[1]):
+            own = rows[:, s]
+            found[k, s] = own[np.isfinite(own)]
+    return found
+
+
+def _alike(channels: list[Vector]) -> float:
+    """Return the probability of the ratio of von Neumann, over all channels."""
+    from scipy.stats import norm
+
+    score, weight = 0.0, 0.0
+    for row in channels:
+        power = float(row @ row)
+        if len(row) < 10 or power == 0.0:
+            continue
+        steps = np.diff(row)
+        score += (1.0 - float(steps @ steps) / (2.0 * power)) * len(row)
+        weight += len(row)
+    return float(norm.sf(score / math.sqrt(weight))) if weight else 1.0
+
+
+def _inflation(channels: list[Vector]) -> float:
+    """Return the root of the ratio of all samples to the effective ones, by autocorrelation."""
+    total, weight = 0.0, 0.0
+    for row in channels:
+        n, power = len(row), float(row @ row)
+        if n < 10 or power == 0.0:
+            continue
+        ratio = 1.0
+        for lag in range(1, n // 3):
+            rho = float(row[lag:] @ row[:-lag]) / power
+            if rho < 2.0 / math.sqrt(n):
+                break
+            ratio += 2.0 * rho
+        total += min(ratio, n / 6.0) * n
+        weight += n
+    return math.sqrt(max(total / weight, 1.0)) if weight else 1.0
+
+
+def _laws(shooting: Shooting, fit: Fit) -> dict[str, float]:
+    """Return the probability of the score of one restitution per impact, by stop."""
+    basis, _ = np.linalg.qr(_scaled(fit.jacobian))
+    found: dict[str, float] = {}
+    for stop in shooting.graph.stop_names:
+        columns = _deviation_rows(shooting, fit, stop)
+        if columns.shape[1] < 2:
+            continue
+        probability = _score(columns, basis, fit)
+        if probability is not None:
+            found[stop] = probability
+    return found
+
+
+def _scaled(rows: Vector) -> Vector:
+    size = np.linalg.norm(rows, axis=0)
+    return rows[:, size > 0.0] / size[size > 0.0]
+
+
+def _score(columns: Vector, basis: Vector, fit: Fit) -> float | None:
+    from scipy.stats import f as fisher
+
+    columns = _scaled(columns)
+    left = columns - basis @ (basis.T @ columns)
+    rest = fit.rest - basis @ (basis.T @ fit.rest)
+    vectors, sizes, _ = np.linalg.svd(left, full_matrices=False)
+    rank = int(np.sum(sizes > 1e-6))
+    freedom = len(rest) - basis.shape[1] - rank
+    if rank == 0 or freedom < 3:
+        return None
+    along = vectors[:, :rank].T @ rest
+    power = float(along @ along)
+    other = max(float(rest @ rest) - power, 1e-300)
+    return float(fisher.sf(power / rank / (other / freedom), rank, freedom))
+
+
+def _deviation_rows(shooting: Shooting, fit: Fit, stop: str) -> Vector:
+    """Return the derivatives of the residuals with respect to single restitutions of a stop."""
+    blocks: list[tuple[int, Vector]] = []
+    at = 0
+    for k, trial in enumerate(shooting.trials):
+        n_rows = int(trial.seen.sum()) + trial.n_events
+        rows = deviation_rows_of_trial(shooting, fit.z, k, stop, most=_MOST)
+        blocks.append((at, rows))
+        at += n_rows
+    found = np.zeros((at, sum(rows.shape[1] for _, rows in blocks)))
+    column = 0
+    for first, rows in blocks:
+        found[first : first + len(rows), column : column + rows.shape[1]] = rows
+        column += rows.shape[1]
+    return found
+
+
+def deviation_rows_of_trial(
+    shooting: Shooting, z: Vector, k: int, stop: str, *, most: int | None
+) -> Vector:
+    """Return the derivatives of the residuals of a trial with respect to single restitutions.
+
+    Args:
+        shooting: The trials.
+        z: Unknowns.
+        k: Index of the trial.
+        stop: Name of the stop.
+        most: Largest number of impacts.
+    """
+    trial = shooting.trials[k]
+    own = shooting.predicted(k, z, math.inf)
+    n_rows = int(trial.seen.sum()) + trial.n_events
+    if own is None:
+        return np.zeros((n_rows, 0))
+    impacts = _resolved(shooting, k, own.motion.execution.impacts, stop, own.offset)[:most]
+    columns = list[Vector]()
+    n_x, p = len(shooting.graph.state_names), shooting.parameters(z)
+    instruments = shooting.unknowns.instruments(trial.measured.names)
+    values = shooting.values(z)
+    times = trial.time / instruments.stretch(values) - own.offset
+    slopes = (
+        trial.measured.derivatives(own.motion.at(times).states, p)[:, :, :n_x]
+        if len(times)
+        else None
+    )
+    for impact in impacts:
+        try:
+            parts = list[Vector]()
+            if slopes is not None:
+                states = own.motion.after_deviation(impact, times)
+                rows = np.einsum("nsx,nx->ns", slopes, states) * instruments.gain(values)
+                parts.append((rows / trial.noise)[trial.seen])
+            if trial.n_events:
+                late = [
+                    _late(own.motion.events_after_deviation(impact, one.kind, one.stop), found)
+                    for one in trial.series
+                    for found in [matched(one, own.motion.events(one.kind, one.stop))]
+                ]
+                parts.append(shooting.whitening[k] @ np.concatenate(late))
+        except SimulationError:
+            # The last impacts before a Zeno point have no derivative of their own.
+            continue
+        columns.append(np.concatenate(parts))
+    return np.stack(columns, axis=1) if columns else np.zeros((n_rows, 0))
+
+
+def _late(rows: Vector, found: list[int | None]) -> Vector:
+    return np.array([0.0 if k is None else float(rows[k]) for k in found])
+
+
+def _resolved(
+    shooting: Shooting, k: int, impacts: tuple[Impact, ...], stop: str, offset: float
+) -> list[Impact]:
+    """Return the impacts at a stop whose next flight is resolved by the samples or the events."""
+    trial = shooting.trials[k]
+    own = [one for one in impacts if one.stop == stop]
+    last = trial.end - offset
+    if len(trial.time) > 1:
+        least = _RESOLVED * float(np.median(np.diff(trial.time)))
+    else:
+        least = 0.0
+        last = float(np.max(event_times(trial))) - offset
+    found: list[Impact] = []
+    for one, then in zip(own, [*own[1:], None], strict=False):
+        flight = (last if then is None else min(then.time, last)) - one.time
+        if one.time < last and flight > least:
+            found.append(one)
+    return found

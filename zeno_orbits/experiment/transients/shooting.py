@@ -1,0 +1,327 @@
+r"""Residuals of trials and their exact derivatives, by single shooting over the simulation.
+
+The unknowns `z` are the fitted parameters and errors of instruments, then the free initial values
+of every trial. A parameter with a positive range is :math:`\theta = \theta_0 e^z`, any other value
+:math:`\theta_0 + s z` with its scale `s`. The residuals are the samples in units of their noise,
+and the event times after whitening by their covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.identification.instruments import Instruments
+from zeno_orbits.experiment.identification.unknowns import Unknowns
+from zeno_orbits.experiment.transients.event_labels import sequences_of
+from zeno_orbits.experiment.transients.event_record import EventSeries
+from zeno_orbits.experiment.transients.motion import EventTimes, Motion, moved
+from zeno_orbits.experiment.transients.trial import OFFSET, Trial
+from zeno_orbits.model import GraphDynamics, Problem
+from zeno_orbits.simulation import EventKind, Impact
+
+_PAST = 0.25
+"""Part of a trial that the simulation of event times goes on beyond it."""
+_CLOCK_SLACK = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prediction:
+    """The prediction of one trial at given unknowns.
+
+    Attributes:
+        motion: The simulated motion.
+        signals: Predicted channels at the samples up to a horizon, ``(n, n_s)``.
+        by_signals: Their derivatives with respect to the unknowns, ``(n, n_s, n_z)``.
+        events: Predicted event times since the origin, ``(n_e,)`` [s].
+        by_events: Their derivatives, ``(n_e, n_z)``.
+        offset: Time offset of the simulation [s].
+    """
+
+    motion: Motion
+    signals: Vector
+    by_signals: Vector
+    events: Vector
+    by_events: Vector
+    offset: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shooting:
+    """Trials with shared parameters, as a least-squares problem.
+
+    Attributes:
+        problem: The problem.
+        graph: The machine at the start of the fit.
+        unknowns: The fitted parameters and errors of instruments.
+        trials: The trials.
+        whitening: For each trial, the matrix that whitens its event residuals, ``(n_e, n_e)``.
+    """
+
+    problem: Problem
+    graph: GraphDynamics
+    unknowns: Unknowns
+    trials: tuple[Trial, ...]
+    whitening: tuple[Vector, ...]
+
+    @property
+    def n_shared(self) -> int:
+        """Number of shared unknowns."""
+        return len(self.unknowns.start)
+
+    @property
+    def n_z(self) -> int:
+        """Number of unknowns."""
+        return self.n_shared + sum(len(one.free) for one in self.trials)
+
+    @property
+    def is_log(self) -> Vector:
+        """Mask of the shared unknowns that vary by their logarithm, ``(k,)``."""
+        own = [not readings for readings in self.unknowns.readings]
+        return np.array(own) & (self.unknowns.lower > 0.0) & (self.unknowns.start > 0.0)
+
+    @property
+    def bounds(self) -> tuple[Vector, Vector]:
+        """Bounds of the unknowns, each ``(n_z,)``."""
+        at = self.unknowns
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logs = [np.log(end / at.start) for end in (at.lower, at.upper)]
+        linear = [(end - at.start) / at.scale for end in (at.lower, at.upper)]
+        low, high = (
+            np.where(self.is_log, log, line) for log, line in zip(logs, linear, strict=True)
+        )
+        reach = np.array([one.reach for trial in self.trials for one in trial.free])
+        return np.concatenate([low, -reach]), np.concatenate([high, reach])
+
+    def values(self, z: Vector) -> Vector:
+        """Return the values of the shared unknowns, ``(k,)``."""
+        at, own = self.unknowns, z[: self.n_shared]
+        with np.errstate(over="ignore"):
+            return np.where(
+                self.is_log, at.start * np.exp(np.where(self.is_log, own, 0.0)), at.start + at.scale * own
+            )
+
+    def slopes(self, z: Vector) -> Vector:
+        """Return the derivatives of the values with respect to their own unknown, ``(k,)``."""
+        return np.where(self.is_log, self.values(z), self.unknowns.scale)
+
+    def unknown_of(self, k: int, value: float) -> float:
+        """Return the unknown at a value of a shared unknown."""
+        start = float(self.unknowns.start[k])
+        if self.is_log[k]:
+            return float(np.log(value / start))
+        return (value - start) / float(self.unknowns.scale[k])
+
+    def columns(self, trial: int) -> slice:
+        """Return the range of the free initial values of a trial among the unknowns."""
+        before = self.n_shared + sum(len(one.free) for one in self.trials[:trial])
+        return slice(before, before + len(self.trials[trial].free))
+
+    def start_of(self, trial: int, z: Vector) -> tuple[Vector, float]:
+        """Return the initial state of a trial and its time offset [s]."""
+        own = self.trials[trial]
+        x, offset = own.start.copy(), own.shift
+        for one, part in zip(own.free, z[self.columns(trial)].tolist(), strict=True):
+            if one.name == OFFSET:
+                offset += one.scale * part
+            else:
+                x += one.direction * one.scale * part
+        clock = list(self.problem.clock)
+        if clock:
+            # A change along the tangent is brought back to the circle.
+            x[clock] /= np.linalg.norm(x[clock]) / np.linalg.norm(own.start[clock])
+        return x, offset
+
+    def parameters(self, z: Vector) -> Vector:
+        """Return gains and parameters at unknowns."""
+        p = self.unknowns.base.copy()
+        p[list(self.unknowns.places)] = self.unknowns.ties @ self.values(z)
+        return p
+
+    def predicted(self, trial: int, z: Vector, horizon: float) -> Prediction | None:
+        """Return the prediction of a trial up to a horizon, ``None`` if it cannot be simulated.
+
+        Args:
+            trial: Index of the trial.
+            z: Unknowns, ``(n_z,)``.
+            horizon: Last time that counts [s].
+        """
+        own, p = self.trials[trial], self.parameters(z)
+        x, offset = self.start_of(trial, z)
+        stretch = self._instruments(own).stretch(self.values(z))
+        end = min(horizon, own.end) / stretch - offset
+        if own.n_events:
+            end += _PAST * (own.end - min([*own.time[:1].tolist(), *_firsts(own)]))
+        try:
+            graph = self.graph.at(p)
+        except ValueError:
+            return None
+        motion = moved(graph, x, max(end, 0.0) * (1 + _CLOCK_SLACK) + 1e-12, self.unknowns.places)
+        if motion is None:
+            return None
+        signals, by_signals = self._signals(trial, z, motion, horizon, offset)
+        events, by_events = self._events(trial, z, motion, offset)
+        if not (np.isfinite(by_signals).all() and np.isfinite(by_events).all()):
+            return None
+        return Prediction(
+            motion=motion,
+            signals=signals,
+            by_signals=by_signals,
+            events=events,
+            by_events=by_events,
+            offset=offset,
+        )
+
+    def _instruments(self, trial: Trial) -> Instruments:
+        return self.unknowns.instruments(trial.measured.names)
+
+    def _by_unknowns(self, trial: int, z: Vector, by: Vector) -> Vector:
+        """Return derivatives with respect to the unknowns, ``(..., n_z)``.
+
+        Args:
+            trial: Index of the trial.
+            z: Unknowns.
+            by: Derivatives with respect to the initial state, then the parameters, ``(..., m)``.
+        """
+        n_x, own = len(self.graph.state_names), self.trials[trial]
+        found = np.zeros((*by.shape[:-1], self.n_z))
+        ties = self.unknowns.ties * self.slopes(z)
+        found[..., : self.n_shared] = by[..., n_x:] @ ties
+        for k, one in zip(range(*self.columns(trial).indices(self.n_z)), own.free, strict=True):
+            found[..., k] = by[..., :n_x] @ (one.direction * one.scale)
+        return found
+
+    def _signals(
+        self, trial: int, z: Vector, motion: Motion, horizon: float, offset: float
+    ) -> tuple[Vector, Vector]:
+        """Return the predicted channels at the samples up to a horizon, and their derivatives."""
+        own, values, n_x = self.trials[trial], self.values(z), len(self.graph.state_names)
+        n = int(np.searchsorted(own.time, horizon, side="right"))
+        if not n:
+            shape = (0, own.values.shape[1])
+            return np.zeros(shape), np.zeros((*shape, self.n_z))
+        instruments, p = self._instruments(own), self.parameters(z)
+        stretch = instruments.stretch(values)
+        times = own.time[:n] / stretch - offset
+        at = motion.at(times)
+        channels = own.measured.values(at.states, p)
+        slopes = own.measured.derivatives(at.states, p)
+        by = slopes[:, :, :n_x] @ at.by
+        by[:, :, n_x:] += slopes[:, :, n_x:][:, :, list(self.unknowns.places)]
+        by_z = self._by_unknowns(trial, z, by)
+        rates = np.einsum("nsx,nx->ns", slopes[:, :, :n_x], at.rates)
+        for k, one in zip(range(*self.columns(trial).indices(self.n_z)), own.free, strict=True):
+            if one.name == OFFSET:
+                by_z[:, :, k] = -rates * one.scale
+        scale = self.slopes(z)
+        late = (own.time[:n] / stretch**2)[:, None, None] * instruments.rate
+        by_z[:, :, : self.n_shared] -= rates[:, :, None] * late * scale
+        by_z *= instruments.gain(values)[None, :, None]
+        by_z[:, :, : self.n_shared] += instruments.by_numbers(channels) * scale
+        return instruments.read(channels, values), by_z
+
+    def _events(
+        self, trial: int, z: Vector, motion: Motion, offset: float
+    ) -> tuple[Vector, Vector]:
+        """Return the predicted event times of a trial and their derivatives."""
+        own = self.trials[trial]
+        times, rows = [np.zeros(0)], [np.zeros((0, self.n_z))]
+        stretch = self._instruments(own).stretch(self.values(z))
+        for series in own.series:
+            model = motion.events(series.kind, series.stop)
+            found = matched(series, model)
+            own_times, by = placed(found, model, motion.execution.end_time)
+            by_z = self._by_unknowns(trial, z, by) * stretch
+            for k, one in zip(range(*self.columns(trial).indices(self.n_z)), own.free, strict=True):
+                if one.name == OFFSET:
+                    by_z[:, k] = one.scale * stretch
+            moved_by = (own_times + offset)[:, None] * self._instruments(own).rate * self.slopes(z)
+            by_z[:, : self.n_shared] += moved_by
+            times.append((own_times + offset) * stretch)
+            rows.append(by_z)
+        return np.concatenate(times), np.concatenate(rows)
+
+    def residuals(self, z: Vector, stage: int | None = None) -> tuple[Vector, Vector] | None:
+        """Return residuals and their derivatives, or ``None`` if a trial cannot be simulated.
+
+        Args:
+            z: Unknowns, ``(n_z,)``.
+            stage: Index of the horizon of each trial, the whole trial by default.
+        """
+        rests, rows = list[Vector](), list[Vector]()
+        for k, trial in enumerate(self.trials):
+            last = len(trial.horizons) - 1
+            horizon = trial.horizons[last if stage is None else min(stage, last)]
+            found = self.predicted(k, z, horizon)
+            if found is None:
+                return None
+            n = len(found.signals)
+            seen = trial.seen[:n]
+            rest = (found.signals - trial.values[:n]) / trial.noise
+            by = found.by_signals / trial.noise[:, None]
+            rests.append(rest[seen])
+            rows.append(by[seen])
+            if trial.n_events:
+                due = event_times(trial) <= horizon
+                white = self.whitening[k][np.ix_(due, due)]
+                rests.append(white @ (found.events - event_times(trial))[due])
+                rows.append(white @ found.by_events[due])
+        return np.concatenate(rests), np.concatenate(rows)
+
+    def reweighted(self, noise: Sequence[Vector], whitening: Sequence[Vector]) -> Shooting:
+        """Return the problem with other errors of samples and events."""
+        trials = tuple(
+            replace(one, noise=own) for one, own in zip(self.trials, noise, strict=True)
+        )
+        return replace(self, trials=trials, whitening=tuple(whitening))
+
+
+def event_times(trial: Trial) -> Vector:
+    """Return all event times of a trial in the order of the residuals, ``(n_e,)`` [s]."""
+    return np.concatenate([np.zeros(0), *(one.times for one in trial.series)])
+
+
+def _firsts(trial: Trial) -> list[float]:
+    return [float(one.times[0]) for one in trial.series if len(one.times)]
+
+
+def matched(series: EventSeries, model: EventTimes) -> list[int | None]:
+    """Return the index of the event of a motion that belongs to each recorded one.
+
+    Args:
+        series: Recorded events.
+        model: The events of the motion, of the same kind at the same stop.
+    """
+    if series.kind is not EventKind.IMPACT:
+        return [k if k < len(model.times) else None for k in series.groups]
+    parts = sequences_of(model.times)
+    found: list[int | None] = []
+    for group, number in zip(series.groups, series.numbers, strict=True):
+        part = parts[group] if group < len(parts) else slice(0, 0)
+        k = part.start + number
+        found.append(k if k < part.stop else None)
+    return found
+
+
+def placed(
+    found: Sequence[int | None], model: EventTimes, end: float
+) -> tuple[Vector, Vector]:
+    """Return the times of matched events and their derivatives. A missing event is at the end.
+
+    Args:
+        found: Index of each event.
+        model: The events of the motion.
+        end: Time of the end of the motion [s].
+    """
+    m = model.by.shape[1]
+    times = [end if k is None else float(model.times[k]) for k in found]
+    rows = [np.zeros(m) if k is None else model.by[k] for k in found]
+    return np.array(times), np.array(rows).reshape(len(found), m)
+
+
+def impacts_until(motion: Motion, time: float) -> tuple[Impact, ...]:
+    """Return the impacts of a motion up to a time."""
+    return tuple(one for one in motion.execution.impacts if one.time <= time)

@@ -1,0 +1,228 @@
+r"""Bounded least squares over a horizon that grows from impact to impact, from several starts.
+
+A whole trial has many local optima, since a phase error grows from impact to impact. A fit up to
+the first impact has one, and each longer horizon starts near its optimum. A weak prior of a factor
+2 holds unknowns that the short horizons do not determine, and is dropped at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.transients.shooting import Shooting
+from zeno_orbits.work import Progress
+
+_PRIOR = 0.7
+"""Standard deviation of the logarithm of a parameter on short horizons, a factor of 2."""
+_STEPS, _LAST_STEPS = 10, 40
+_STARTS = 6
+_AROUND = 0.6
+"""Largest change of the logarithm of a parameter at a further start, a factor of 1.8."""
+_SAME = 1e-3
+"""Relative difference of sums of squares of starts that agree, next to 3.84 noise units."""
+_DIFFERENCE = 3.84
+_FAILED = 1e4
+"""Residual of a trial that cannot be simulated."""
+_INSIDE = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fit:
+    """A local optimum.
+
+    Attributes:
+        z: Unknowns, ``(n_z,)``.
+        rest: Residuals, ``(n_r,)``.
+        jacobian: Their derivatives, ``(n_r, n_z)``.
+        converged: Whether the iteration converged.
+        agreed: Number of starts that led to this optimum.
+        starts: Number of starts.
+        others: Unknowns of other optima that fit as well.
+    """
+
+    z: Vector
+    rest: Vector
+    jacobian: Vector
+    converged: bool
+    agreed: int = 1
+    starts: int = 1
+    others: tuple[Vector, ...] = ()
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares."""
+        return float(self.rest @ self.rest)
+
+
+class _Evaluated:
+    """Residuals and derivatives of one simulation, kept until the unknowns change."""
+
+    def __init__(self, shooting: Shooting, stage: int | None, prior: Vector | None) -> None:
+        self._shooting, self._stage, self._prior = shooting, stage, prior
+        self._at: Vector | None = None
+        self._found: tuple[Vector, Vector] | None = None
+        self._shape: tuple[int, int] | None = None
+
+    def _of(self, z: Vector) -> tuple[Vector, Vector]:
+        if self._at is None or self._found is None or not np.array_equal(self._at, z):
+            self._at, self._found = z.copy(), self._evaluated(z)
+        return self._found
+
+    def _evaluated(self, z: Vector) -> tuple[Vector, Vector]:
+        found = self._shooting.residuals(z, self._stage)
+        if found is None:
+            if self._shape is None:
+                raise LostStartError
+            return np.full(self._shape[0], _FAILED), np.zeros(self._shape)
+        rest, rows = found
+        if self._prior is not None:
+            k = self._shooting.n_shared
+            rest = np.concatenate([rest, (z[:k] - self._prior) / _PRIOR])
+            rows = np.concatenate([rows, np.eye(k, len(z)) / _PRIOR])
+        self._shape = rows.shape
+        return rest, rows
+
+    def rest(self, z: Vector) -> Vector:
+        return self._of(z)[0]
+
+    def rows(self, z: Vector) -> Vector:
+        return self._of(z)[1]
+
+
+class LostStartError(Exception):
+    """The motion at the start of a fit cannot be simulated."""
+
+
+def fitted(
+    shooting: Shooting,
+    z: Vector,
+    *,
+    stage: int | None = None,
+    prior: Vector | None = None,
+    fixed: int | None = None,
+    steps: int = _LAST_STEPS,
+) -> Fit:
+    """Return the optimum near a start.
+
+    Args:
+        shooting: The trials.
+        z: Start, ``(n_z,)``.
+        stage: Index of the horizon, the whole trials by default.
+        prior: Shared unknowns of a weak prior, none by default.
+        fixed: Index of an unknown that keeps its value.
+        steps: Largest number of steps.
+
+    Raises:
+        LostStartError: If the motion at the start cannot be simulated.
+    """
+    from scipy.optimize import least_squares
+
+    low, high = shooting.bounds
+    z = np.clip(z, low + _INSIDE, high - _INSIDE)
+    free = np.array([k for k in range(len(z)) if k != fixed])
+    at = _Evaluated(shooting, stage, prior)
+
+    def whole(part: Vector) -> Vector:
+        full = z.copy()
+        full[free] = part
+        return full
+
+    found = least_squares(
+        lambda part: at.rest(whole(part)),
+        z[free],
+        jac=lambda part: at.rows(whole(part))[:, free],
+        bounds=(low[free], high[free]),
+        x_scale="jac",
+        max_nfev=steps,
+        xtol=1e-9,
+        ftol=1e-9,
+        gtol=1e-12,
+    )
+    z = whole(np.asarray(found.x, dtype=np.float64))
+    return Fit(z=z, rest=at.rest(z), jacobian=at.rows(z), converged=found.status > 0)
+
+
+def staged(shooting: Shooting, z: Vector, on_progress: Progress) -> Fit:
+    """Return the optimum that a growing horizon leads to from a start.
+
+    Args:
+        shooting: The trials.
+        z: Start, ``(n_z,)``.
+        on_progress: Called with each stage.
+
+    Raises:
+        LostStartError: If the motion at the start cannot be simulated.
+    """
+    prior = z[: shooting.n_shared].copy()
+    n = max(len(one.horizons) for one in shooting.trials)
+    for stage in range(n - 1):
+        on_progress("fitting a growing part of the motion", stage / n)
+        found = fitted(shooting, z, stage=stage, prior=prior, steps=_STEPS)
+        z = found.z
+    return fitted(shooting, z)
+
+
+def _starts(shooting: Shooting, z: Vector) -> Iterator[Vector]:
+    """Yield the starts of a fit: the given one, then changes of the shared unknowns."""
+    yield z
+    random = np.random.default_rng(len(z))
+    for _ in range(_STARTS - 1):
+        other = z.copy()
+        k = shooting.n_shared
+        other[:k] += random.uniform(-_AROUND, _AROUND, k)
+        yield other
+
+
+def best_fit(shooting: Shooting, z: Vector, on_progress: Progress) -> Fit | None:
+    """Return the best optimum of up to six starts, ``None`` if none can be simulated.
+
+    Two starts that agree are enough.
+
+    Args:
+        shooting: The trials.
+        z: First start, ``(n_z,)``.
+        on_progress: Called with each stage.
+    """
+    found: list[Fit] = []
+    tried = 0
+    for start in _starts(shooting, z):
+        tried += 1
+        try:
+            found.append(staged(shooting, start, on_progress))
+        except LostStartError:
+            continue
+        best = min(found, key=lambda one: one.cost)
+        if sum(_as_good(one, best) for one in found) >= 2:
+            break
+    if not found:
+        return None
+    best = min(found, key=lambda one: one.cost)
+    alike = [one for one in found if _as_good(one, best)]
+    others = tuple(one.z for one in alike if _apart(one, best, shooting.n_shared))
+    return Fit(
+        z=best.z,
+        rest=best.rest,
+        jacobian=best.jacobian,
+        converged=best.converged,
+        agreed=len(alike) - len(others),
+        starts=tried,
+        others=others,
+    )
+
+
+def _as_good(one: Fit, best: Fit) -> bool:
+    scale = best.cost / max(len(best.rest) - len(best.z), 1)
+    return one.cost - best.cost < max(_DIFFERENCE * scale, _SAME * 1e-3 * best.cost)
+
+
+def _apart(one: Fit, best: Fit, n_shared: int) -> bool:
+    """Return True if two optima as good as each other differ along determined directions."""
+    step = one.z - best.z
+    off = best.jacobian @ step
+    scale = best.cost / max(len(best.rest) - len(best.z), 1)
+    is_far = float(off @ off) > 16.0 * _DIFFERENCE * max(scale, 1e-300)
+    return is_far and bool(np.any(np.abs(step[:n_shared]) > 1e-3))

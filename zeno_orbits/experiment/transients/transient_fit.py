@@ -1,0 +1,643 @@
+r"""Parameters of a machine from transients: drops, swing-downs, steps and start-ups.
+
+The initial values of every trial, its time offset and its number of impacts are free. Parameters
+are shared by all trials. The stages are: samples, weights and masks from the recordings alone;
+bounded least squares over a growing horizon from up to six starts; new weights by the residuals;
+tests of the residuals; profile intervals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.identification.prepared import UnfittableError, refusal
+from zeno_orbits.experiment.identification.uncertainty import Unseen, unseen_combinations
+from zeno_orbits.experiment.identification.unknowns import (
+    FitParameter,
+    Unknowns,
+    begin_of,
+    unknowns_of,
+)
+from zeno_orbits.experiment.recordings.recording import Recording
+from zeno_orbits.experiment.transients.event_noise import EventNoise, event_noise
+from zeno_orbits.experiment.transients.event_record import EventSeries
+from zeno_orbits.experiment.transients.intervals import covariance_of, degrees, profile_ends
+from zeno_orbits.experiment.transients.motion import SETTINGS
+from zeno_orbits.experiment.transients.residual_tests import ResidualTests, tested
+from zeno_orbits.experiment.transients.shooting import Shooting, event_times
+from zeno_orbits.experiment.transients.staged_fit import (
+    Fit,
+    best_fit,
+    fitted,
+)
+from zeno_orbits.experiment.transients.trial import OFFSET, Trial, prepared_trial
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.simulation import simulate
+from zeno_orbits.work import ByValue, Progress, silent
+
+_OTHER_WEIGHT = 1.1
+"""Ratio of the weights of two channels, or of the noise, from which the fit is repeated."""
+_HIDDEN = 0.1
+"""Part that a parameter has at least in a combination that hides it."""
+_UNLIKE = 0.5
+"""Residuals relative to the range of the channels from which the motion is another one."""
+_EDGE = 1e-3
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FittedTrial(ByValue):
+    """A trial of a transient beside its fitted motion.
+
+    Attributes:
+        label: Name of the trial.
+        start: Initial state by name.
+        offset: Time offset of the motion [s].
+        origin: Recorded time of the initial state [s].
+        time: Recorded times, ``(n,)`` [s].
+        names: Names of the recorded signals.
+        units: Units of the recorded signals.
+        recorded: Samples, ``(n, n_s)``.
+        fitted: Signals of the fitted motion, ``(n, n_s)``.
+        seen: Mask of the samples that count, 1 or 0, ``(n, n_s)``.
+        impacts: Times of the resolved impacts of the fitted motion [s].
+        seen_impacts: Number of impacts that the recording shows.
+        event_times: Recorded times of true events, ``(n_e,)`` [s].
+        event_rests: Recorded minus fitted times of the events, ``(n_e,)`` [s].
+        missed: Sentences about impacts that were not recorded.
+        false: Sentences about recorded events that are no events of the machine.
+    """
+
+    label: str
+    start: Mapping[str, float]
+    offset: float
+    origin: float
+    time: Vector
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    recorded: Vector
+    fitted: Vector
+    seen: Vector
+    impacts: Vector
+    seen_impacts: int
+    event_times: Vector
+    event_rests: Vector
+    missed: tuple[str, ...]
+    false: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the trial as plain data, without its samples."""
+        return {
+            "label": self.label,
+            "start": dict(self.start),
+            "offset": self.offset,
+            "impacts": self.impacts.tolist(),
+            "seen_impacts": self.seen_impacts,
+            "missed": list(self.missed),
+            "false": list(self.false),
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TransientFit(ByValue):
+    """What a fit of transients found beside the parameters.
+
+    Attributes:
+        trials: The trials.
+        tests: Tests of the residuals.
+        verdict: One sentence about the model.
+        starts: Number of starts of the fit.
+        agreed: Number of starts that led to the optimum.
+        jitter: Standard deviation of event times [s], NaN without events.
+        scatter: Scatter of the restitution per impact by the event times, relative, or NaN.
+    """
+
+    trials: tuple[FittedTrial, ...]
+    tests: ResidualTests
+    verdict: str
+    starts: int
+    agreed: int
+    jitter: float = math.nan
+    scatter: float = math.nan
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        known = {"jitter": self.jitter, "scatter": self.scatter, "misfit": self.tests.misfit}
+        return {
+            **{name: value if math.isfinite(value) else None for name, value in known.items()},
+            "verdict": self.verdict,
+            "structure_left": self.tests.has_structure,
+            "same_law": dict(self.tests.law),
+            "white": self.tests.alike,
+            "starts": self.starts,
+            "agreed": self.agreed,
+            "trials": [one.as_json() for one in self.trials],
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SharedValue:
+    """A fitted value with its interval.
+
+    Attributes:
+        value: The value.
+        error: Standard error, infinite if the trials do not determine it.
+        low: Lower end of the 95 % interval.
+        high: Upper end.
+    """
+
+    value: float
+    error: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TransientResult:
+    """Parameters from transients.
+
+    Attributes:
+        values: All parameter values, including the fitted values.
+        shared: The fitted values, in the order of the unknowns.
+        unknowns: The unknowns.
+        correlation: Correlation matrix of the fitted values.
+        unseen: Combinations that the trials do not determine.
+        before: Root mean square deviation at the start, relative to the ranges of the channels.
+        after: The same after the fit.
+        converged: Whether the fit converged.
+        optima: Other optima that fit nearly as well.
+        fit: The trials and the verdict.
+        remarks: Further remarks.
+    """
+
+    values: ParameterValues
+    shared: tuple[SharedValue, ...]
+    unknowns: Unknowns
+    correlation: Vector
+    unseen: tuple[Unseen, ...]
+    before: float
+    after: float
+    converged: bool
+    optima: tuple[Mapping[str, float], ...]
+    fit: TransientFit
+    remarks: tuple[str, ...]
+
+
+def fit_transients(
+    problem: Problem,
+    values: ParameterValues,
+    recordings: Sequence[tuple[str, Recording]],
+    sought: Sequence[FitParameter],
+    *,
+    start: Mapping[str, float] | None = None,
+    free: Collection[str] = (),
+    on_progress: Progress = silent,
+) -> TransientResult:
+    """Fit parameters to transients.
+
+    Args:
+        problem: The problem.
+        values: Parameter values, rough for those that are fitted.
+        recordings: Label and recording of each trial.
+        sought: The parameters and errors of instruments to fit.
+        start: Known initial values of all trials.
+        free: Further initial values to determine: states, `clock`, `offset`.
+        on_progress: Called with each stage.
+
+    Raises:
+        InputError: If a name or a range is invalid, or a recording holds nothing of the problem.
+        UnfittableError: If no simulation follows the recordings.
+    """
+    begin = begin_of(problem, values, sought)
+    on_progress("reading the trials", None)
+    trials = [
+        prepared_trial(problem, begin, one, label=label, start=start or {}, free=free)
+        for label, one in recordings
+    ]
+    begin = _with_seen_restitution(problem, begin, sought, trials)
+    shooting = _shooting(problem, begin, sought, trials)
+    first = np.zeros(shooting.n_z)
+    before = _deviation(shooting, first)
+    found = best_fit(shooting, first, on_progress)
+    if found is None:
+        raise refusal("the motion from the recorded start cannot be simulated at the start values")
+    noise = tuple(one.noise for one in shooting.trials)
+    on_progress("weighting the channels", None)
+    shooting, found, events = _reweighted(shooting, found, noise)
+    after = _deviation(shooting, found.z)
+    if not after < _UNLIKE:
+        raise refusal(
+            f"the nearest motion is {100 * after:.2g} % of the signals' ranges off: check the "
+            f"start values, or crop the recording with --t-start and --t-end"
+        )
+    return _described(shooting, found, noise, events, sought, begin, before, after, on_progress)
+
+
+def _shooting(
+    problem: Problem,
+    begin: ParameterValues,
+    sought: Sequence[FitParameter],
+    trials: Sequence[Trial],
+) -> Shooting:
+    unknowns = _with_channel_ranges(unknowns_of(problem, begin, sought), trials)
+    graph = problem.graph_dynamics(begin)
+    return Shooting(
+        problem=problem,
+        graph=graph,
+        unknowns=unknowns,
+        trials=tuple(_placed(problem, begin, one) for one in trials),
+        whitening=tuple(_independent(one) for one in trials),
+    )
+
+
+def _with_channel_ranges(unknowns: Unknowns, trials: Sequence[Trial]) -> Unknowns:
+    """Return the unknowns with the scale and range of offsets by the ranges of their channels.
+
+    Raises:
+        InputError: If an unknown names a channel that no trial has.
+    """
+    names = tuple(dict.fromkeys(name for one in trials for name in one.measured.names))
+    unknowns.instruments(names)
+    scale, lower, upper = unknowns.scale.copy(), unknowns.lower.copy(), unknowns.upper.copy()
+    for k, own in enumerate(unknowns.readings):
+        for _, channel in own:
+            sizes = [
+                float(np.nanmax(row) - np.nanmin(row))
+                for one in trials
+                if channel in one.measured.names
+                for row in [one.values[:, one.measured.names.index(channel)]]
+            ]
+            if math.isinf(lower[k]) and sizes:
+                scale[k] = max(sizes) or 1.0
+                lower[k], upper[k] = -scale[k], scale[k]
+    return replace(unknowns, scale=scale, lower=lower, upper=upper)
+
+
+def _independent(trial: Trial) -> Vector:
+    """Return the whitening of event times with independent errors."""
+    errors = [
+        error
+        for one, error in zip(trial.series, trial.event_errors, strict=True)
+        for _ in one.times
+    ]
+    return np.diag(1.0 / np.array(errors)) if errors else np.zeros((0, 0))
+
+
+def _placed(problem: Problem, begin: ParameterValues, trial: Trial) -> Trial:
+    """Return a trial of event times alone with its first impact at the simulated one.
+
+    Raises:
+        UnfittableError: If no simulated impact follows the start.
+    """
+    if len(trial.time) or not any(one.name == OFFSET for one in trial.free):
+        return trial
+    graph = problem.graph_dynamics(begin)
+    times = event_times(trial)
+    # The first free fall may be longer than the whole recording.
+    span = 20.0 * float(np.ptp(times))
+    execution = simulate(graph, trial.start, until=span, impacts=1, settings=SETTINGS)
+    if not execution.impacts:
+        raise refusal(
+            f"{trial.label}: no impact follows the initial state: give it by --start NAME=VALUE"
+        )
+    return replace(trial, shift=float(times.min()) - execution.impacts[0].time)
+
+
+def _with_seen_restitution(
+    problem: Problem,
+    begin: ParameterValues,
+    sought: Sequence[FitParameter],
+    trials: Sequence[Trial],
+) -> ParameterValues:
+    """Return the start with the restitution that recorded flights show, if it is fitted."""
+    names = [name for one in sought for name in one.names if name == "restitution"]
+    boxes = [one for one in sought if "restitution" in one.names]
+    ratios = [_ratio(row) for one in trials for row in _impact_rows(one)]
+    known = [one for one in ratios if math.isfinite(one)]
+    if not names or not known or len(boxes) != 1 or len(boxes[0].names) != 1:
+        return begin
+    box = boxes[0]
+    value = float(np.clip(np.median(known), box.lower, box.upper))
+    inside = box.lower + _EDGE * (box.upper - box.lower) < value
+    if not inside or value > box.upper - _EDGE * (box.upper - box.lower):
+        return begin
+    return problem.values(
+        gains=begin.gains, parameters={**begin.parameters, "restitution": value}
+    )
+
+
+def _impact_rows(trial: Trial) -> list[Vector]:
+    heard = [one.times for one in trial.series if one.kind.word == "impact"]
+    return [*trial.impacts.values(), *heard]
+
+
+def _ratio(impacts: Vector) -> float:
+    """Return the ratio of the first two flights, NaN if they do not shrink."""
+    flights = np.diff(impacts)
+    if len(flights) < 2 or not flights[1] < 0.98 * flights[0]:
+        return math.nan
+    return float(flights[1] / flights[0])
+
+
+def _deviation(shooting: Shooting, z: Vector) -> float:
+    """Return the root mean square deviation of all channels relative to their ranges.
+
+    For event times it is relative to the longest interval.
+    """
+    squares: list[float] = []
+    for k, trial in enumerate(shooting.trials):
+        found = shooting.predicted(k, z, math.inf)
+        if found is None:
+            return math.inf
+        for s in range(trial.values.shape[1]):
+            rows = trial.seen[:, s]
+            if rows.any():
+                size = float(np.ptp(trial.values[rows, s])) or 1.0
+                off = found.signals[rows, s] - trial.values[rows, s]
+                squares.append(float(np.mean(off**2)) / size**2)
+        if trial.n_events > 1:
+            off = found.events - event_times(trial)
+            steps = [np.max(np.diff(one.times)) for one in trial.series if len(one.times) > 1]
+            squares.append(float(np.mean(off**2)) / max([*map(float, steps), 1e-300]) ** 2)
+    return math.sqrt(float(np.mean(squares))) if squares else math.inf
+
+
+def _reweighted(
+    shooting: Shooting, found: Fit, noise: Sequence[Vector]
+) -> tuple[Shooting, Fit, EventNoise | None]:
+    """Return the fit with the weights that its residuals show: channels, then event times."""
+    has_events = any(one.n_events for one in shooting.trials)
+    events: EventNoise | None = None
+    for _ in range(_ROUNDS if has_events else 1):
+        own, whitening = _channel_noise(shooting, found.z), shooting.whitening
+        if has_events:
+            told = event_noise(shooting, found.z)
+            if told is not None:
+                events, whitening = told
+        ratios = [a / b for a, b in zip(own, noise, strict=True)]
+        flat = np.concatenate([*ratios, np.zeros(0)])
+        even = len(flat) == 0 or np.max(flat) < _OTHER_WEIGHT * np.min(flat)
+        if even and not has_events:
+            return shooting, found, None
+        shooting = shooting.reweighted(own, whitening)
+        again = fitted(shooting, found.z)
+        found = replace(
+            again, agreed=found.agreed, starts=found.starts, others=found.others
+        )
+    return shooting, found, events
+
+
+def _channel_noise(shooting: Shooting, z: Vector) -> list[Vector]:
+    """Return the root mean square residual of each channel, over all trials that have it."""
+    rests: dict[str, list[Vector]] = {}
+    for k, trial in enumerate(shooting.trials):
+        found = shooting.predicted(k, z, math.inf)
+        if found is None:
+            return [one.noise for one in shooting.trials]
+        for s, name in enumerate(trial.measured.names):
+            rows = trial.seen[:, s]
+            rests.setdefault(name, []).append(found.signals[rows, s] - trial.values[rows, s])
+    sizes = {
+        name: math.sqrt(float(np.mean(np.concatenate(rows) ** 2))) if rows else 0.0
+        for name, rows in rests.items()
+    }
+    return [
+        np.array(
+            [
+                max(sizes[name], 1e-3 * one.noise[s])
+                for s, name in enumerate(one.measured.names)
+            ]
+        )
+        for one in shooting.trials
+    ]
+
+
+def _described(
+    shooting: Shooting,
+    found: Fit,
+    noise: tuple[Vector, ...],
+    events: EventNoise | None,
+    sought: Sequence[FitParameter],
+    begin: ParameterValues,
+    before: float,
+    after: float,
+    on_progress: Progress,
+) -> TransientResult:
+    """Return the result of a fit: intervals, undetermined combinations, and the verdict."""
+    tests = tested(shooting, found, noise)
+    inflation = tests.inflation if tests.has_structure else 1.0
+    labels = [one.label for one in sought]
+    k = shooting.n_shared
+    scale = math.sqrt(found.cost / degrees(found))
+    covariance = covariance_of(found)[:k, :k]
+    unseen = _unseen(shooting, found, labels, scale * inflation)
+    hidden = {
+        name for one in unseen for name, part in one.direction.items() if abs(part) > _HIDDEN
+    }
+    shared: list[SharedValue] = []
+    for j, label in enumerate(labels):
+        on_progress("computing the intervals", j / max(len(labels), 1))
+        known = label not in hidden and found.converged
+        shared.append(
+            _shared(shooting, found, j, scale, covariance, inflation)
+            if known
+            else SharedValue(
+                value=float(shooting.values(found.z)[j]),
+                error=math.inf,
+                low=-math.inf,
+                high=math.inf,
+            )
+        )
+    errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    trials = tuple(_fitted_trial(shooting, found, j) for j in range(len(shooting.trials)))
+    others = tuple(
+        dict(zip(labels, shooting.values(z).tolist(), strict=True)) for z in found.others
+    )
+    return TransientResult(
+        values=_values(shooting, found, sought, begin),
+        shared=tuple(shared),
+        unknowns=shooting.unknowns,
+        correlation=covariance / np.outer(errors, errors),
+        unseen=unseen,
+        before=before,
+        after=after,
+        converged=found.converged,
+        optima=others,
+        fit=TransientFit(
+            trials=trials,
+            tests=tests,
+            verdict=_verdict(tests, events),
+            starts=found.starts,
+            agreed=found.agreed,
+            jitter=math.nan if events is None else events.jitter,
+            scatter=math.nan if events is None or not events.estimated else events.scatter,
+        ),
+        remarks=tuple(_remarks(shooting, found, labels, trials, tests, others)),
+    )
+
+
+def _shared(
+    shooting: Shooting, found: Fit, j: int, scale: float, covariance: Vector, inflation: float
+) -> SharedValue:
+    """Return a fitted value with its profile interval."""
+    low, high = profile_ends(shooting, found, j, inflation)
+    ends: list[float] = []
+    for end in (low, high):
+        z = found.z.copy()
+        z[j] = end
+        ends.append(float(shooting.values(z)[j]))
+    slope = abs(float(shooting.slopes(found.z)[j]))
+    return SharedValue(
+        value=float(shooting.values(found.z)[j]),
+        error=slope * scale * inflation * math.sqrt(max(float(covariance[j, j]), 0.0)),
+        low=min(ends),
+        high=max(ends),
+    )
+
+
+def _unseen(
+    shooting: Shooting, found: Fit, labels: Sequence[str], inflation: float
+) -> tuple[Unseen, ...]:
+    """Return the combinations of shared unknowns that the trials do not determine."""
+    k = shooting.n_shared
+    rows = found.jacobian
+    own, others = rows[:, :k], rows[:, k:]
+    size = np.linalg.norm(others, axis=0)
+    if np.any(size > 0.0):
+        basis, _ = np.linalg.qr(others[:, size > 0.0] / size[size > 0.0])
+        own = own - basis @ (basis.T @ own)
+    # Relative to the fitted values, or to the scales of values without a scale of their own.
+    by = shooting.slopes(found.z)
+    values = np.abs(shooting.values(found.z))
+    additive = np.array(shooting.unknowns.additive)
+    unit = np.where(additive | (values == 0.0), shooting.unknowns.scale, values) / np.abs(by)
+    information = (own * unit).T @ (own * unit)
+    names = [label for label, mark in zip(labels, additive, strict=True) if mark]
+    return unseen_combinations(labels, information, inflation, names)
+
+
+def _values(
+    shooting: Shooting, found: Fit, sought: Sequence[FitParameter], begin: ParameterValues
+) -> ParameterValues:
+    parameters = dict(begin.parameters)
+    rows = zip(sought, shooting.unknowns.readings, shooting.values(found.z), strict=True)
+    for one, readings, value in rows:
+        if not readings:
+            parameters |= dict.fromkeys(one.names, float(value))
+    return shooting.problem.values(gains=begin.gains, parameters=parameters)
+
+
+def _fitted_trial(shooting: Shooting, found: Fit, k: int) -> FittedTrial:
+    """Return a trial beside its fitted motion.
+
+    Raises:
+        UnfittableError: If the motion cannot be simulated.
+    """
+    own = shooting.trials[k]
+    at = shooting.predicted(k, found.z, math.inf)
+    if at is None:
+        raise refusal(f"{own.label}: the fitted motion cannot be simulated")
+    state, offset = shooting.start_of(k, found.z)
+    impacts = _impacts_of(own, at.motion.execution.impacts, offset)
+    return FittedTrial(
+        label=own.label,
+        start=dict(zip(shooting.problem.state_names, state.tolist(), strict=True)),
+        offset=offset,
+        origin=own.origin,
+        time=own.time + own.origin,
+        names=own.measured.names,
+        units=own.measured.units,
+        recorded=own.values,
+        fitted=at.signals,
+        seen=own.seen.astype(np.float64),
+        impacts=impacts + own.origin,
+        seen_impacts=_n_seen(own),
+        event_times=event_times(own) + own.origin,
+        event_rests=event_times(own) - at.events,
+        missed=tuple(word for one in own.series for word in one.missed),
+        false=tuple(word for one in own.series for word in one.false),
+    )
+
+
+def _impacts_of(trial: Trial, impacts: Sequence[Any], offset: float) -> Vector:
+    """Return the times of the impacts until the flights are shorter than three samples."""
+    times = np.array([one.time + offset for one in impacts])
+    times = times[times <= trial.end + 1e-12]
+    if len(trial.time) < 2:
+        return times
+    step = float(np.median(np.diff(trial.time)))
+    flights = np.diff(np.append(times, np.inf))
+    return times[(flights > 3.0 * step) | (np.diff(times, prepend=-np.inf) > 3.0 * step)]
+
+
+def _n_seen(trial: Trial) -> int:
+    heard: list[EventSeries] = [one for one in trial.series if one.kind.word == "impact"]
+    if heard:
+        return sum(len(one.times) for one in heard)
+    return sum(len(row) for row in trial.impacts.values())
+
+
+def _verdict(tests: ResidualTests, events: EventNoise | None) -> str:
+    """Return one sentence about the model, the most specific finding first."""
+    if tests.law_differs:
+        stops = ", ".join(f"`{one}`" for one in tests.law_differs if one)
+        where = f" at {stops}" if stops else ""
+        rare = min(tests.law[one] for one in tests.law_differs)
+        return (
+            f"structure is left: the impacts{where} do not have one restitution (probability "
+            f"{rare:.1g}); a law that depends on the speed or scatter explains this, and a single "
+            f"drop cannot separate them"
+        )
+    if tests.misfit > 1.25:
+        return (
+            f"structure is left: the residuals are {tests.misfit:.3g} times the noise, so the "
+            f"model lacks an effect, or the instrument has an error"
+        )
+    if tests.alike < 1e-3:
+        return (
+            f"structure is left: neighbouring residuals are alike (probability "
+            f"{tests.alike:.1g}), so the model lacks an effect"
+        )
+    if events is not None and not math.isfinite(tests.misfit):
+        return "no structure is left: one law with its scatter explains the event times"
+    return "no structure is left: the residuals are white and as large as the noise"
+
+
+def _remarks(
+    shooting: Shooting,
+    found: Fit,
+    labels: Sequence[str],
+    trials: Sequence[FittedTrial],
+    tests: ResidualTests,
+    others: Sequence[Mapping[str, float]],
+) -> list[str]:
+    remarks = [word for one in shooting.trials for word in one.remarks]
+    many = len(trials) > 1
+    for one in trials:
+        remarks += [f"{one.label}: {w}" if many else w for w in (*one.missed, *one.false)]
+    low, high = shooting.bounds
+    for k, label in enumerate(labels):
+        if min(found.z[k] - low[k], high[k] - found.z[k]) < _EDGE * (high[k] - low[k]):
+            remarks.append(f"`{label}` reached an end of its range")
+    if found.starts > 1 and found.agreed < 2:
+        remarks.append(f"only one of {found.starts} starts led to this optimum")
+    if not found.converged:
+        remarks.append("the fit did not converge: better values may exist, and none has an interval")
+    if tests.has_structure and tests.inflation > 1.0:
+        remarks.append(
+            f"intervals are {tests.inflation:.2g} times as wide as for independent residuals, and "
+            f"the estimates may still be biased beyond them"
+        )
+    for one in others:
+        text = ", ".join(f"`{name}` = {value:.6g}" for name, value in one.items())
+        remarks.append(f"another optimum fits nearly as well: {text}")
+    return remarks
+
+
+__all__ = ["FittedTrial", "TransientFit", "TransientResult", "UnfittableError", "fit_transients"]

@@ -1,0 +1,382 @@
+"""One trial of a transient, prepared for a fit: samples, weights, masks, horizons and the start."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, not_known
+from zeno_orbits.experiment.orbit_table import Measurement, measurable, measurement
+from zeno_orbits.experiment.recordings.recording import Recording
+from zeno_orbits.experiment.transients.event_record import EventSeries, event_series
+from zeno_orbits.experiment.transients.seen_impacts import (
+    beside_impacts,
+    impacts_in_gap,
+    noise_of,
+    recorded_gaps,
+)
+from zeno_orbits.model import GraphDynamics, ParameterValues, Problem
+from zeno_orbits.simulation import EventKind
+
+CLOCK, OFFSET = "clock", "offset"
+"""Names of the phase of the clock and of the time offset among the free initial values."""
+_FEW = 25
+"""Samples from which initial values are extrapolated, at most."""
+_MOST_SAMPLES = 200_000
+_EQUAL = 8
+"""Horizons of a trial without a seen impact."""
+_EVENT_ERROR = 2e-3
+"""First guess of the error of event times, relative to the longest interval between them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FreeStart:
+    """An initial value that a fit determines.
+
+    Attributes:
+        name: Name of the state, `clock` or `offset`.
+        direction: Change of the initial state per unit, ``(n_x,)``. It is zero for the offset.
+        scale: Size of a change.
+        reach: Bound of the change, in units of the scale.
+    """
+
+    name: str
+    direction: Vector
+    scale: float
+    reach: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trial:
+    """A trial.
+
+    Attributes:
+        label: Name of the trial in messages.
+        origin: Recorded time of the initial state [s].
+        time: Times of the samples since the origin, ``(n,)`` [s].
+        measured: The recorded signals.
+        values: Samples, ``(n, n_s)``.
+        seen: Mask of the samples that count, ``(n, n_s)``.
+        noise: Standard deviation of the noise of the channels, ``(n_s,)``.
+        series: Event times, since the origin.
+        event_errors: Standard error of each series [s].
+        impacts: Times of the impacts that the gap shows, by stop, since the origin.
+        start: Initial state at the start of the fit, ``(n_x,)``.
+        free: The free initial values.
+        horizons: End times of the stages of the fit, the last one whole [s].
+        remarks: Remarks on the trial.
+        shift: Time offset of the simulation at the start of the fit [s].
+    """
+
+    label: str
+    origin: float
+    time: Vector
+    measured: Measurement
+    values: Vector
+    seen: NDArray[np.bool_]
+    noise: Vector
+    series: tuple[EventSeries, ...]
+    event_errors: tuple[float, ...]
+    impacts: Mapping[str, Vector]
+    start: Vector
+    free: tuple[FreeStart, ...]
+    horizons: tuple[float, ...]
+    remarks: tuple[str, ...]
+    shift: float = 0.0
+
+    @property
+    def n_events(self) -> int:
+        """Number of event times."""
+        return sum(len(one.times) for one in self.series)
+
+    @property
+    def end(self) -> float:
+        """Time of the last sample or event [s]."""
+        times = [one.times[-1] for one in self.series if len(one.times)]
+        return float(max([*self.time[-1:].tolist(), *times]))
+
+
+def prepared_trial(
+    problem: Problem,
+    values: ParameterValues,
+    recording: Recording,
+    *,
+    label: str,
+    start: Mapping[str, float],
+    free: Collection[str],
+) -> Trial:
+    """Return a trial.
+
+    Args:
+        problem: The problem.
+        values: Parameter values at the start of the fit.
+        recording: The recording of the trial.
+        label: Name of the trial in messages.
+        start: Known initial values.
+        free: Further initial values to determine: states, `clock`, `offset`.
+
+    Raises:
+        InputError: If the recording holds nothing of the problem, or a name is unknown.
+    """
+    graph = problem.graph_dynamics(values)
+    _require_names(problem, start, free)
+    known = measurable(problem)
+    names = tuple(name for name in recording.names if name in known)
+    series = event_series(recording, graph.stop_names)
+    if not names and not any(len(one.times) for one in series):
+        titles = ", ".join((*known, "impact", "release"))
+        raise InputError(f"Argument `recording`: no signal of the problem (known: {titles}).")
+    if len(recording.time) > _MOST_SAMPLES and names:
+        wanted = f"has {len(recording.time)} samples and a transient at most {_MOST_SAMPLES}"
+        raise InputError(f"Argument `recording` {wanted}: crop it with --t-start and --t-end.")
+    begin = np.array(problem.initial_state(None, values), dtype=np.float64)
+    for name, value in start.items():
+        begin[problem.state_names.index(name)] = value
+    if not names:
+        return _of_events(problem, graph, begin, series, label, free)
+    return _of_samples(problem, graph, begin, recording, names, series, label, start, free)
+
+
+def _require_names(problem: Problem, start: Mapping[str, float], free: Collection[str]) -> None:
+    for name in start:
+        if name not in problem.state_names:
+            raise InputError(f"Argument `start`: {not_known(name, problem.state_names)}")
+    for name in free:
+        known = (*problem.state_names, CLOCK, OFFSET)
+        if name not in known:
+            raise InputError(f"Argument `free`: {not_known(name, known)}")
+        if name == CLOCK and not problem.clock:
+            raise InputError("Argument `free`: the problem has no clock.")
+
+
+def _of_events(
+    problem: Problem,
+    graph: GraphDynamics,
+    begin: Vector,
+    series: Sequence[EventSeries],
+    label: str,
+    free: Collection[str],
+) -> Trial:
+    """Return a trial of event times alone. Its origin is the recorded time 0."""
+    n_x = len(begin)
+    times = np.concatenate([one.times for one in series])
+    span = float(np.ptp(times)) or 1.0
+    size = np.asarray(graph.own.states(n_x), dtype=np.float64)
+    found = [_state(problem, name, begin, size) for name in free if name not in (CLOCK, OFFSET)]
+    found.append(FreeStart(name=OFFSET, direction=np.zeros(n_x), scale=span, reach=4.0))
+    if CLOCK in free:
+        found.append(_clock(problem, begin))
+    ends = sorted({*np.concatenate([one.times for one in series]).tolist()})
+    horizons = (ends[min(3, len(ends) - 1)], ends[len(ends) // 2])
+    return Trial(
+        label=label,
+        origin=0.0,
+        time=np.zeros(0),
+        measured=measurement(problem, ()),
+        values=np.zeros((0, 0)),
+        seen=np.zeros((0, 0), dtype=np.bool_),
+        noise=np.zeros(0),
+        series=tuple(series),
+        event_errors=tuple(_error_of(one) for one in series),
+        impacts={},
+        start=begin,
+        free=tuple(found),
+        horizons=(*horizons, math.inf),
+        remarks=(),
+    )
+
+
+def _state(problem: Problem, name: str, begin: Vector, size: Vector) -> FreeStart:
+    k = problem.state_names.index(name)
+    direction = np.zeros(len(begin))
+    direction[k] = 1.0
+    scale = abs(begin[k]) or float(size[k])
+    return FreeStart(name=name, direction=direction, scale=scale, reach=0.95)
+
+
+def _clock(problem: Problem, begin: Vector) -> FreeStart:
+    cosine, sine = problem.clock[:2]
+    direction = np.zeros(len(begin))
+    direction[cosine], direction[sine] = -begin[sine], begin[cosine]
+    return FreeStart(name=CLOCK, direction=direction, scale=1.0, reach=1.0)
+
+
+def _error_of(one: EventSeries) -> float:
+    longest = float(np.max(np.diff(one.times))) if len(one.times) > 1 else 1.0
+    return max(one.error, _EVENT_ERROR * longest)
+
+
+def _of_samples(
+    problem: Problem,
+    graph: GraphDynamics,
+    begin: Vector,
+    recording: Recording,
+    names: tuple[str, ...],
+    series: Sequence[EventSeries],
+    label: str,
+    start: Mapping[str, float],
+    free: Collection[str],
+) -> Trial:
+    """Return a trial of samples, with event times beside them if there are any."""
+    values = np.stack([recording.signal(name).values for name in names], axis=1)
+    rows = np.isfinite(values).any(axis=1)
+    time, values = recording.time[rows], values[rows]
+    if len(time) < 8:
+        raise InputError(f"Argument `recording`: {label} has fewer than 8 samples.")
+    origin = float(time[0])
+    time = time - origin
+    states = {
+        problem.state_names.index(name): values[:, k]
+        for k, name in enumerate(names)
+        if name in problem.state_names
+    }
+    gaps = recorded_gaps(graph, begin, states)
+    impacts = {stop: impacts_in_gap(time, row) for stop, row in gaps.items()}
+    series = tuple(_since(one, origin) for one in series)
+    heard = [one.times for one in series if one.kind is EventKind.IMPACT]
+    every = np.sort(np.concatenate([*impacts.values(), *heard, np.zeros(0)]))
+    measured = measurement(problem, names)
+    step = float(np.median(np.diff(time)))
+    seen = np.isfinite(values)
+    jumping = _jumping(problem, graph, measured, begin, graph.p)
+    for own in (*impacts.values(), *heard):
+        seen &= ~(beside_impacts(time, own, step)[:, None] & jumping[None, :])
+    noise = np.array([noise_of(row) for row in values.T])
+    first = float(every[0]) if len(every) else float(time[-1])
+    at_start, frees = _extrapolated(problem, graph, begin, time, states, first, start, free)
+    remarks = [
+        f"{label}: the initial value of `{name}` is taken as {at_start[k]:.6g}"
+        for k, name in enumerate(problem.state_names)
+        if k not in problem.clock
+        and name not in start
+        and name not in [one.name for one in frees]
+        and at_start[k] != 0.0
+        and k not in states
+    ]
+    return Trial(
+        label=label,
+        origin=origin,
+        time=time,
+        measured=measured,
+        values=values,
+        seen=seen,
+        noise=noise,
+        series=series,
+        event_errors=tuple(_error_of(one) for one in series),
+        impacts=impacts,
+        start=at_start,
+        free=frees,
+        horizons=_horizons(time, every),
+        remarks=tuple(remarks),
+    )
+
+
+def _since(one: EventSeries, origin: float) -> EventSeries:
+    return replace(one, times=one.times - origin)
+
+
+def _jumping(
+    problem: Problem, graph: GraphDynamics, measured: Measurement, x: Vector, p: Vector
+) -> NDArray[np.bool_]:
+    """Return the mask of the channels that depend on velocities or currents, which may jump."""
+    inside = x[None, :] + 0.1 + 0.01 * np.arange(len(x))
+    slopes = measured.derivatives(inside, p)[0][:, : len(x)]
+    fast = [k for k in range(graph.n_q, len(x)) if k not in problem.clock]
+    return np.asarray(np.any(slopes[:, fast] != 0.0, axis=1), dtype=np.bool_)
+
+
+def _extrapolated(
+    problem: Problem,
+    graph: GraphDynamics,
+    begin: Vector,
+    time: Vector,
+    states: Mapping[int, Vector],
+    first: float,
+    start: Mapping[str, float],
+    free: Collection[str],
+) -> tuple[Vector, tuple[FreeStart, ...]]:
+    """Return the initial state and its free values, from the first samples of recorded states."""
+    x, n_q, found = begin.copy(), graph.n_q, list[FreeStart]()
+    rows = slice(0, int(np.clip(np.searchsorted(time, 0.6 * first), 4, _FEW)))
+    for k, name in enumerate(problem.state_names):
+        if k in problem.clock:
+            continue
+        coordinate = k - n_q if n_q <= k < 2 * n_q and k not in states else k
+        row = states.get(coordinate)
+        scale = abs(begin[k]) or 1.0
+        reach = 1.0
+        if row is not None:
+            value, slope = _line(time[rows], row[rows])
+            size = float(np.nanmax(row) - np.nanmin(row)) or 1.0
+            is_rate = coordinate != k
+            steps = np.abs(np.diff(row)) / np.diff(time)
+            scale = float(np.nanquantile(steps, 0.98)) or 1.0 if is_rate else size
+            reach = 1.0 if is_rate else 0.3
+            if name not in start:
+                x[k] = slope if is_rate else value
+        known = name in start
+        if name in free or (row is not None and not known):
+            direction = np.zeros(len(x))
+            direction[k] = 1.0
+            found.append(FreeStart(name=name, direction=direction, scale=scale, reach=reach))
+    if CLOCK in free:
+        found.append(_clock(problem, x))
+    if OFFSET in free:
+        span = float(time[-1])
+        found.append(FreeStart(name=OFFSET, direction=np.zeros(len(x)), scale=span, reach=0.3))
+    x, held = _on_stops(graph, x, states)
+    return x, tuple(one for one in found if not held & set(np.flatnonzero(one.direction).tolist()))
+
+
+def _on_stops(
+    graph: GraphDynamics, x: Vector, states: Mapping[int, Vector]
+) -> tuple[Vector, set[int]]:
+    """Return the start moved onto stops that it touches, and the states that are held there."""
+    held: set[int] = set()
+    if not graph.stop_names:
+        return x, held
+    for view in graph.open_views:
+        gap = float(view.gap(x))
+        noise = max((noise_of(row) for row in states.values()), default=0.0)
+        size = max((float(np.nanmax(row) - np.nanmin(row)) for row in states.values()), default=1.0)
+        if gap > max(6.0 * noise, 1e-9 * size):
+            continue
+        resting = view.on_stop(x)
+        moved = set(np.flatnonzero(np.abs(resting - x) > 0.0).tolist())
+        held |= moved | {k + graph.n_q for k in moved if k < graph.n_q}
+        held |= {k - graph.n_q for k in moved if graph.n_q <= k < 2 * graph.n_q}
+        x = resting
+    return x, held
+
+
+def _line(time: Vector, row: Vector) -> tuple[float, float]:
+    """Return the value and the slope at time 0 of a parabola through samples."""
+    known = np.isfinite(row)
+    if known.sum() < 3:
+        return (float(row[known][0]) if known.any() else 0.0), 0.0
+    order = 2 if known.sum() >= 6 else 1
+    fitted = np.polyfit(time[known], row[known], order)
+    return float(fitted[-1]), float(fitted[-2])
+
+
+def _horizons(time: Vector, impacts: Vector) -> tuple[float, ...]:
+    """Return the ends of the stages: before the first impact, inside each flight, and the end."""
+    end = float(time[-1])
+    if not len(impacts):
+        return (*(end * k / _EQUAL for k in range(1, _EQUAL)), math.inf)
+    edges = [*impacts.tolist(), end]
+    found = [0.97 * edges[0]]
+    found += [a + 0.6 * (b - a) for a, b in zip(edges, edges[1:], strict=False)]
+    last = found[-1]
+    found += [part * end for part in (0.6, 0.8) if part * end > last]
+    step = float(np.median(np.diff(time)))
+    kept: list[float] = []
+    for one in sorted(found):
+        if one > 8 * step and one < 0.95 * end and (not kept or one > kept[-1] + 0.05 * end):
+            kept.append(one)
+    return (*kept, math.inf)
