@@ -95,7 +95,7 @@ def test_fitted_numbers_stand_with_their_errors_and_intervals(
         edge_misfit=1.25,
         unseen=(SimpleNamespace(text="`K+k` is not seen"),),
     )
-    terminal.print_identification(recording(), found)
+    terminal.print_identification(found, recording().remarks)
     printed = capsys.readouterr().out
     assert table_of(printed) == [
         ["parameter", "start value", "fitted", "standard error", "95 % interval"],

@@ -18,7 +18,7 @@ from zeno_orbits.api.inputs import (
     problem_of,
     whole,
 )
-from zeno_orbits.errors import InputError, number_range, shown
+from zeno_orbits.errors import InputError, named_numbers, number_range, shown
 from zeno_orbits.model import ParameterValues, Problem, Rig, recorded_problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import Progress, silent
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         RigRun,
         RigSettings,
         SettledRig,
+        TransientComparison,
     )
 
 Fit = Mapping[str, tuple[float, float] | None] | Sequence[str]
@@ -124,43 +125,164 @@ def compare(
 @front_door
 def identify(
     problem: Named,
-    recording: Recording | str | Path,
+    recording: Recording | str | Path | Sequence[Recording | str | Path],
     fit: Fit,
     *,
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    free: Sequence[str] = (),
+    transient: bool | None = None,
     t_start: float | None = None,
     t_end: float | None = None,
     on_progress: Progress = silent,
 ) -> Identification:
-    """Return the parameters for which the orbit of a problem is nearest to a recording.
+    """Return the parameters for which the motion of a problem is nearest to recordings.
+
+    A settled machine is compared with the orbit of its parameters. A transient, such as a drop, a
+    swing-down or a step, is compared with a simulation whose initial values are determined too. The
+    recordings decide which: several trials, times of events and motions that come to rest are
+    transients.
 
     Args:
         problem: The problem, its name or its file.
-        recording: The recording of a settled machine over at least two periods, or its file.
+        recording: The recording, or its file. Several are trials of transients with the same
+            parameters. A settled machine is recorded over at least two periods.
         fit: Parameters to estimate. ``A+B`` are two parameters with one value. Without a range, a
-            parameter may vary between a tenth and ten times its value. ``CHANNEL.gain``,
-            ``CHANNEL.offset`` and ``clock_rate`` are errors of the instruments. A clock with the
-            rate `c` is faster by the factor ``1 + c``.
+            parameter may vary between a tenth and ten times its value, or for transients between
+            a third and three times. ``CHANNEL.gain``, ``CHANNEL.offset`` and ``clock_rate`` are
+            errors of the instruments. A clock with the rate `c` is faster by the factor ``1 + c``.
         gains: Gains that differ from their defaults.
         parameters: Parameters that differ from their defaults.
-        t_start: First time of the recording that counts [s].
-        t_end: Last time of the recording that counts [s].
+        start: Known initial values of transients. The other recorded states begin near their first
+            samples, and their rates near the slopes there.
+        free: Further initial values of transients to determine: states that are not recorded,
+            ``clock`` for the phase of the clock, ``offset`` for the time of the start.
+        transient: Whether transients are fitted. The default is to decide by the recordings.
+        t_start: First time of the recordings that counts [s].
+        t_end: Last time of the recordings that counts [s].
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:
         InputError: If a name is unknown, a range does not fit the parameter, or a contact channel
             is invalid.
-        UnfittableError: If the recording does not show such an orbit, or no orbit exists at the
+        UnfittableError: If the recording does not show such a motion, or no orbit exists at the
             initial parameter values.
     """
-    from zeno_orbits.experiment import fit_parameters as identified
+    from zeno_orbits.experiment import fit_parameters, fit_transient_parameters
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
-    unknowns = _unknowns(known, values, fit)
-    data = recording_for(known, recording, t_start, t_end, on_progress)
-    return identified(known, values, data, unknowns, on_progress=on_progress)
+    trials = _trials(known, recording, t_start, t_end, on_progress)
+    if not _are_transients(known, trials, transient, start, free):
+        unknowns = _unknowns(known, values, fit)
+        return fit_parameters(known, values, trials[0][1], unknowns, on_progress=on_progress)
+    return fit_transient_parameters(
+        known,
+        values,
+        trials,
+        _unknowns(known, values, fit, transient=True),
+        start=named_numbers("start", start),
+        free=free,
+        on_progress=on_progress,
+    )
+
+
+def _trials(
+    problem: Problem,
+    recording: Recording | str | Path | Sequence[Recording | str | Path],
+    t_start: float | None,
+    t_end: float | None,
+    on_progress: Progress,
+) -> list[tuple[str, Recording]]:
+    """Return the trials with their labels: the names of their files, or their numbers.
+
+    Raises:
+        InputError: If there are none.
+    """
+    from zeno_orbits.experiment import Recording
+
+    is_one = isinstance(recording, Recording | str | Path)
+    several = [recording] if is_one else [*recording]
+    if not several:
+        raise InputError("Argument `recording` must hold a recording, but it is empty.")
+    return [
+        (
+            Path(one).name if isinstance(one, str | Path) else f"trial {k}",
+            recording_for(problem, one, t_start, t_end, on_progress),
+        )
+        for k, one in enumerate(several, start=1)
+    ]
+
+
+def _are_transients(
+    problem: Problem,
+    trials: Sequence[tuple[str, Recording]],
+    transient: bool | None,
+    start: Numbers | None,
+    free: Sequence[str],
+) -> bool:
+    """Return True if transients are to be fitted.
+
+    Raises:
+        InputError: If a settled orbit is asked for, and an argument belongs to transients.
+    """
+    from zeno_orbits.experiment import measurable, transient_reason
+
+    asked = "start" if start else "free" if free else "recording" if len(trials) > 1 else ""
+    if transient is False and asked:
+        wanted = "needs transients: omit `transient`, or set it to True"
+        raise InputError(f"Argument `{asked}` {wanted}.")
+    if transient is not None or asked:
+        return transient is None or transient
+    return bool(transient_reason([one for _, one in trials], measurable(problem)))
+
+
+@front_door
+def compare_transient(
+    problem: Named,
+    recording: Recording | str | Path | Sequence[Recording | str | Path],
+    *,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    free: Sequence[str] = (),
+    t_start: float | None = None,
+    t_end: float | None = None,
+    on_progress: Progress = silent,
+) -> TransientComparison:
+    """Return transients compared with the motion of a problem, impact by impact.
+
+    Only the initial values are fitted. The result tests whether the residuals have structure.
+
+    Args:
+        problem: The problem, its name or its file.
+        recording: The recording or its file, or several trials.
+        gains: Gains that differ from their defaults.
+        parameters: Parameters that differ from their defaults.
+        start: Known initial values, as for `identify`.
+        free: Further initial values to determine, as for `identify`.
+        t_start: First time of the recordings that counts [s].
+        t_end: Last time of the recordings that counts [s].
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If a name is unknown, or a recording holds no signal or event of the problem.
+        UnfittableError: If no simulated motion follows the recordings.
+    """
+    from zeno_orbits.experiment import compare_transients
+
+    known = known_problem(problem)
+    values = known.values(gains=gains, parameters=parameters)
+    trials = _trials(known, recording, t_start, t_end, on_progress)
+    return compare_transients(
+        known,
+        values,
+        trials,
+        start=named_numbers("start", start),
+        free=free,
+        on_progress=on_progress,
+    )
 
 
 @front_door
@@ -493,20 +615,40 @@ def recording_for(
         DataFileError: If the file is not a recording.
         InputError: If fewer than two rows are left.
     """
-    from zeno_orbits.experiment import CONTACT, measurable, read_recording
+    from zeno_orbits.experiment import (
+        CONTACT,
+        EVENT_FAMILIES,
+        measurable,
+        read_event_file,
+        read_recording,
+    )
 
     if isinstance(recording, str | Path):
         on_progress("reading the recording", None)
         known = measurable(problem)
-        recording = read_recording(recording, only=known, families=(CONTACT,), units=known)
+        families = (CONTACT, *EVENT_FAMILIES)
+        recording = read_event_file(recording) or read_recording(
+            recording, only=known, families=families, units=known
+        )
     return crop(recording, t_start, t_end)
 
 
-_DECADE = 10.0
+_DECADE, _THRICE = 10.0, 3.0
+_LEAST_RESTITUTION, _MOST_RESTITUTION = 0.02, 0.98
+"""Range of a restitution by default in a fit of transients, in which impacts accumulate in time."""
 
 
-def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[FitParameter, ...]:
-    """Return the parameters to estimate, in ranges that the problem allows."""
+def _unknowns(
+    problem: Problem, values: ParameterValues, fit: Fit, *, transient: bool = False
+) -> tuple[FitParameter, ...]:
+    """Return the parameters to estimate, in ranges that the problem allows.
+
+    Args:
+        problem: The problem.
+        values: Parameter values at the start.
+        fit: Parameters to estimate.
+        transient: Whether the narrower default ranges of transients apply.
+    """
     from zeno_orbits.experiment import FitParameter, default_range
 
     # A sequence may name a parameter twice, which the fit refuses.
@@ -526,7 +668,10 @@ def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[FitP
         around = None if names[0] in known else default_range(names[0])
         if around is None:
             value = values.parameters.get(names[0], 0.0)
-            around = sorted((value / _DECADE, value * _DECADE)) if value else (-1.0, 1.0)
+            factor = _THRICE if transient else _DECADE
+            around = sorted((value / factor, value * factor)) if value else (-1.0, 1.0)
+            if transient and names[0] == "restitution":
+                around = (_LEAST_RESTITUTION, _MOST_RESTITUTION)
         low, high = max(lower, around[0]), min(upper, around[1])
         if box is not None:
             low, high = number_range("fit", box)

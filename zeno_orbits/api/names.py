@@ -82,6 +82,11 @@ NAMES = {
         ),
         Name(name="t_start", form="T", meaning="earlier data of a recording are ignored [s]"),
         Name(name="t_end", form="T", meaning="later data of a recording are ignored [s]"),
+        Name(
+            name="free",
+            form="NAME,...",
+            meaning="further initial values of a transient to determine: states, `clock`, `offset`",
+        ),
         Name(name="section", form="EVENT", meaning="event at which a period starts and ends"),
         Name(name="shape", form="SHAPE", meaning="mode sequence of an orbit"),
         Name(name="objective", form="WISH", meaning="choice among the orbits"),

@@ -12,6 +12,7 @@ from .identification.identification import FittedParameter as FittedParameter
 from .identification.identification import Identification as Identification
 from .identification.identification import UnfittableError as UnfittableError
 from .identification.identification import fit_parameters as fit_parameters
+from .identification.identification import fit_transient_parameters as fit_transient_parameters
 from .identification.instruments import default_range as default_range
 from .identification.unknowns import FitParameter as FitParameter
 from .orbit_table import OrbitTable as OrbitTable
@@ -47,3 +48,13 @@ from .rig.run import require_noise as require_noise
 from .rig.run import RigRun as RigRun
 from .rig.run import time_scale_of as time_scale_of
 from .rig.simulator import run_rig as run_rig
+from .transients.decision import transient_reason as transient_reason
+from .transients.event_record import EVENT_FAMILIES as EVENT_FAMILIES
+from .transients.event_record import read_event_file as read_event_file
+from .transients.residual_tests import ResidualTests as ResidualTests
+from .transients.transient_comparison import FlightDeviation as FlightDeviation
+from .transients.transient_comparison import ImpactDeviation as ImpactDeviation
+from .transients.transient_comparison import TransientComparison as TransientComparison
+from .transients.transient_comparison import compare_transients as compare_transients
+from .transients.transient_fit import FittedTrial as FittedTrial
+from .transients.transient_fit import TransientFit as TransientFit

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import api
 from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
-    add_orbit,
     add_problem,
     add_problem_file,
     add_recording,
@@ -30,6 +29,9 @@ from zeno_orbits.cli.parsing import (
 )
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
+
+if TYPE_CHECKING:
+    import zeno_orbits as zo
 
 
 def add_read(commands: Any) -> None:
@@ -121,14 +123,18 @@ def add_compare(commands: Any) -> None:
         "compare",
         _run_compare,
         "compare a recording of signals over time with an orbit; exit code 0 if the recording "
-        "shows it or one of the machine with other values, 1 if it does not or cannot decide",
+        "shows it or one of the machine with other values, 1 if it does not or cannot decide; with "
+        "a problem, compare transients impact by impact, exit code 1 if structure is left",
         [
             "zeno-orbits compare orbit.json data.csv --t-start 5 --plot compared.png",
             "zeno-orbits compare orbit.json data.csv --t-start 5 --json",
+            "zeno-orbits compare bouncing_ball drop.csv --set restitution=0.8 --plot drop.png",
         ],
     )
-    add_orbit(parser)
+    add_problem(parser, "an orbit file, or for transients a problem's name or Python file")
+    add_problem_file(parser, "problem_file")
     add_recording(parser)
+    _add_trials(parser)
     parser.add_argument(
         "--plot",
         dest="picture",
@@ -138,10 +144,54 @@ def add_compare(commands: Any) -> None:
     )
 
 
+def _add_trials(parser: argparse.ArgumentParser) -> None:
+    """Add further trials of transients, and their initial values."""
+    parser.add_argument(
+        "--trial",
+        dest="trials",
+        nargs="+",
+        action="extend",
+        default=[],
+        type=Path,
+        metavar="FILE",
+        help="recordings of further trials of a transient, with the same parameters",
+    )
+    parser.add_argument(
+        "--start",
+        type=read_named_number,
+        action=Named,
+        metavar="STATE=VALUE",
+        help="known initial value of a transient (repeatable); other recorded states and their "
+        "rates are determined",
+    )
+    add_shared(parser, "free", type=_read_names, default=())
+
+
+def _read_names(text: str) -> tuple[str, ...]:
+    """Return names with commas between.
+
+    Raises:
+        ArgumentTypeError: If one is empty.
+    """
+    names = tuple(part.strip() for part in text.split(","))
+    if not all(names):
+        raise argparse.ArgumentTypeError(f"must be NAME,NAME, but it is `{text}`")
+    return names
+
+
 def _run_compare(options: argparse.Namespace) -> int:
-    require_outputs(options, {"picture": PICTURE}, reads=[options.orbit, options.data])
-    orbit = api.any_orbit(options.orbit)
-    problem = api.problem_of(orbit, options.problem)
+    files = [options.data, *options.trials]
+    if Path(options.problem).suffix != ".json":
+        require_outputs(options, {"picture": PICTURE}, reads=files)
+        return _run_compare_transient(options)
+    orbit_path = Path(options.problem)
+    require_outputs(options, {"picture": PICTURE}, reads=[orbit_path, *files])
+    for name, given in (("--set", options.set), ("--start", options.start)):
+        if given or options.trials or options.free:
+            asked = name if given else "--trial" if options.trials else "--free"
+            raise InputError(f"Argument `{asked}` needs a problem in place of `{orbit_path}`.")
+    orbit = api.any_orbit(orbit_path)
+    problem = api.problem_of(orbit, options.problem_file)
     with report.ProgressLine(options.interrupts.check) as progress:
         found = api.compare(
             orbit,
@@ -168,14 +218,52 @@ def _run_compare(options: argparse.Namespace) -> int:
     return YES if found.agrees else NO
 
 
+def _run_compare_transient(options: argparse.Namespace) -> int:
+    _require_one_problem(options)
+    problem, gains, parameters = api.problem_or_orbit(options.problem, options.set)
+    with report.ProgressLine(options.interrupts.check) as progress:
+        found = api.compare_transient(
+            problem,
+            [options.data, *options.trials],
+            gains=gains,
+            parameters=parameters,
+            start=options.start,
+            free=options.free,
+            t_start=options.t_start,
+            t_end=options.t_end,
+            on_progress=progress,
+        )
+    if options.picture is not None:
+        from zeno_orbits.report import plots
+
+        plots.save_figure(plots.plot_transient(found.fit), options.picture)
+    if options.json:
+        print_json(found.as_json())
+    else:
+        report.print_transient_comparison(found)
+        say_written(options, [options.picture] if options.picture is not None else [])
+    return YES if found.agrees else NO
+
+
+def _require_one_problem(options: argparse.Namespace) -> None:
+    """Refuse the file of an orbit's problem beside a problem.
+
+    Raises:
+        InputError: If both are given.
+    """
+    if options.problem_file is not None and not options.problem.endswith(".json"):
+        wanted = "must come with an orbit file, but a problem is named already"
+        raise InputError(f"Argument `--problem {options.problem_file}` {wanted}.")
+
+
 def add_identify(commands: Any) -> None:
     """Add the command `identify`."""
     parser = add_command(
         commands,
         "identify",
         _run_identify,
-        "estimate parameters of a machine from a recording of it; exit code 1 if the recording "
-        "does not show an orbit of the problem",
+        "estimate parameters of a machine from recordings of it, settled or transient; exit code 1 "
+        "if a recording does not show a motion of the problem",
         [
             "zeno-orbits identify motor_pendulum data.csv --t-start 12 --fit R,restitution",
             "zeno-orbits identify orbit.json data.csv --t-start 12 --fit R,restitution",
@@ -185,6 +273,8 @@ def add_identify(commands: Any) -> None:
             "--fit K_torque+K_emf=0.02:0.05 --json",
             "zeno-orbits identify motor_pendulum data.csv --t-start 12 "
             "--fit R,restitution,current.gain,theta1.offset,clock_rate",
+            "zeno-orbits identify bouncing_ball drop.csv --fit restitution --plot drop.png",
+            "zeno-orbits identify bouncing_ball drop.csv --trial drop2.csv --fit restitution",
         ],
     )
     add_problem(parser, "a problem's name or Python file, or the file of an orbit near the data")
@@ -199,34 +289,61 @@ def add_identify(commands: Any) -> None:
         "range is a tenth to ten times the value; CHANNEL.gain, CHANNEL.offset and clock_rate are "
         "errors of instruments",
     )
+    _add_trials(parser)
+    parser.add_argument(
+        "--transient",
+        action="store_true",
+        help="fit a transient; by default the recording decides: several trials, event times and "
+        "motions that come to rest are transients",
+    )
+    parser.add_argument(
+        "--plot",
+        dest="picture",
+        type=Path,
+        metavar="FILE",
+        help="draw fitted transients and their deviations here",
+    )
     parser.add_argument("-o", "--output", type=Path, help="write the results here, as JSON")
-    parser.add_argument("--orbit", type=Path, help="write the orbit at the fitted values here")
+    parser.add_argument(
+        "--orbit",
+        type=Path,
+        help="fit a settled orbit, and write the orbit at the fitted values here",
+    )
 
 
 def _run_identify(options: argparse.Namespace) -> int:
     import zeno_orbits as zo
 
-    if options.problem_file is not None and not options.problem.endswith(".json"):
-        wanted = "must come with an orbit file, but a problem is named already"
-        raise InputError(f"Argument `--problem {options.problem_file}` {wanted}.")
+    _require_one_problem(options)
     problem, gains, parameters = api.problem_or_orbit(
         options.problem, options.set, options.problem_file
     )
+    if options.transient and options.orbit is not None:
+        raise InputError("Argument `--orbit` needs a settled orbit: omit --transient.")
     problem.values(gains=gains, parameters=parameters)
-    require_outputs(options, {"output": JSON, "orbit": JSON}, reads=[options.data])
+    files = [options.data, *options.trials]
+    outputs = {"output": JSON, "orbit": JSON, "picture": PICTURE}
+    require_outputs(options, outputs, reads=files)
     with report.ProgressLine(options.interrupts.check) as progress:
-        recording = api.recording_for(
-            problem, options.data, options.t_start, options.t_end, progress
-        )
+        trials = [
+            api.recording_for(problem, one, options.t_start, options.t_end, progress)
+            for one in files
+        ]
         fit = {"+".join(names): box for names, box in options.fit}
         found = api.identify(
             problem,
-            recording,
+            trials[0] if len(trials) == 1 else trials,
             fit,
             gains=gains,
             parameters=parameters,
+            start=options.start,
+            free=options.free,
+            # An orbit to write is one to fit.
+            transient=True if options.transient else None if options.orbit is None else False,
             on_progress=progress,
         )
+    if options.picture is not None:
+        _draw_transient(found, options.picture)
     if options.output is not None:
         write_json(found, options.output)
     if options.orbit is not None:
@@ -234,7 +351,21 @@ def _run_identify(options: argparse.Namespace) -> int:
     if options.json:
         print_json(found.as_json())
     else:
-        report.print_identification(recording, found)
-        written = [path for path in (options.output, options.orbit) if path is not None]
-        say_written(options, written)
+        remarks = dict.fromkeys(word for one in trials for word in one.remarks)
+        report.print_identification(found, tuple(remarks))
+        paths = (options.output, options.orbit, options.picture)
+        say_written(options, [path for path in paths if path is not None])
     return YES
+
+
+def _draw_transient(found: zo.Identification, picture: Path) -> None:
+    """Draw the fitted transients.
+
+    Raises:
+        InputError: If a settled orbit was fitted.
+    """
+    from zeno_orbits.report import plots
+
+    if found.transient is None:
+        raise InputError("Argument `--plot` needs transients: compare the orbit by `compare`.")
+    plots.save_figure(plots.plot_transient(found.transient), picture)

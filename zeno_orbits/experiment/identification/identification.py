@@ -14,14 +14,14 @@ intervals take this correlation into account (theory (6.12)).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import SimulationError
+from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.experiment.comparison.folding import Folded
 from zeno_orbits.experiment.identification.contact_rows import UNMATCHED
 from zeno_orbits.experiment.identification.least_squares import Fit
@@ -46,6 +46,7 @@ from zeno_orbits.experiment.identification.unknowns import (
     unknowns_of,
 )
 from zeno_orbits.experiment.recordings.recording import Recording
+from zeno_orbits.experiment.transients.transient_fit import TransientFit, fit_transients
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import event_orbit_of
@@ -104,7 +105,7 @@ class Identification(ByValue):
         fitted: The fitted values.
         correlation: Correlation matrix of the fitted values, ``(k, k)``.
         unseen: Combinations of parameters that the recording does not determine.
-        orbit: The orbit at these parameter values.
+        closed_orbit: The orbit at these parameter values, or ``None`` for transients.
         before: Root mean square deviation of the signals at the start, in parts of their ranges.
         after: The same after the fit.
         misfit: Ratio of the periodic part of the residuals to its expected size from noise. It is
@@ -115,6 +116,8 @@ class Identification(ByValue):
         converged: Whether the fit converged. Intervals exist only for a converged fit.
         optima: Parameter values of other optima that fit nearly as well.
         remarks: Further remarks.
+        transient: Trials, tests of the residuals and verdict of a fit of transients, or ``None``
+            for a settled orbit.
     """
 
     problem: str
@@ -122,7 +125,7 @@ class Identification(ByValue):
     fitted: tuple[FittedParameter, ...]
     correlation: Vector
     unseen: tuple[Unseen, ...]
-    orbit: Orbit
+    closed_orbit: Orbit | None
     before: float
     after: float
     misfit: float
@@ -131,6 +134,18 @@ class Identification(ByValue):
     optima: tuple[Mapping[str, float], ...] = ()
     edges: int = 0
     edge_misfit: float = math.nan
+    transient: TransientFit | None = None
+
+    @property
+    def orbit(self) -> Orbit:
+        """The orbit at these parameter values.
+
+        Raises:
+            InputError: If transients were fitted, which show no orbit.
+        """
+        if self.closed_orbit is None:
+            raise InputError("Argument `orbit`: transients were fitted, which show no orbit.")
+        return self.closed_orbit
 
     def __repr__(self) -> str:
         """Return one line: the fitted values with their errors."""
@@ -160,10 +175,11 @@ class Identification(ByValue):
             },
             "correlation": self.correlation.tolist(),
             "unseen": [{"direction": dict(one.direction), "text": one.text} for one in self.unseen],
-            "period": self.orbit.period,
+            "period": None if self.closed_orbit is None else self.closed_orbit.period,
             "residual_before": self.before,
             "residual_after": self.after,
-            "misfit": self.misfit,
+            "misfit": self.misfit if math.isfinite(self.misfit) else None,
+            "transient": None if self.transient is None else self.transient.as_json(),
             "edges": self.edges,
             "edge_misfit": self.edge_misfit if self.edges else None,
             "converged": self.converged,
@@ -234,7 +250,7 @@ def fit_parameters(
         fitted=fitted,
         correlation=answer.spread.correlation,
         unseen=unseen,
-        orbit=event_orbit_of(problem, at, orbits.table(answer.x).found),
+        closed_orbit=event_orbit_of(problem, at, orbits.table(answer.x).found),
         before=answer.before,
         after=answer.after,
         misfit=answer.spread.misfit,
@@ -243,6 +259,64 @@ def fit_parameters(
         remarks=(*remarks, *_remarks(fitted, unknowns, answer), *rivals),
         edges=n_edges,
         edge_misfit=float(np.sqrt(np.mean(edges**2))) if n_edges else math.nan,
+    )
+
+
+def fit_transient_parameters(
+    problem: Problem,
+    values: ParameterValues,
+    recordings: Sequence[tuple[str, Recording]],
+    sought: Sequence[FitParameter],
+    *,
+    start: Mapping[str, float] | None = None,
+    free: Collection[str] = (),
+    on_progress: Progress = silent,
+) -> Identification:
+    """Fit parameters of a problem to transients: parts of motions that need not repeat.
+
+    Args:
+        problem: The problem.
+        values: Parameter values of the problem. Those that are fitted are rough initial values.
+        recordings: Label and recording of each trial.
+        sought: The parameters to fit.
+        start: Known initial values of all trials.
+        free: Further initial values to determine: states, `clock`, `offset`.
+        on_progress: Called with each stage, and with the part done of the fit.
+
+    Raises:
+        InputError: If a name or a range is invalid.
+        UnfittableError: If no simulated motion follows the recordings.
+    """
+    found = fit_transients(
+        problem, values, recordings, sought, start=start, free=free, on_progress=on_progress
+    )
+    fitted = tuple(
+        FittedParameter(
+            unknown=one,
+            start=begun,
+            value=value.value,
+            error=value.error,
+            low=value.low,
+            high=value.high,
+        )
+        for one, begun, value in zip(
+            sought, found.unknowns.start.tolist(), found.shared, strict=True
+        )
+    )
+    return Identification(
+        problem=problem.name,
+        values=found.values,
+        fitted=fitted,
+        correlation=found.correlation,
+        unseen=found.unseen,
+        closed_orbit=None,
+        before=found.before,
+        after=found.after,
+        misfit=found.fit.tests.misfit,
+        converged=found.converged,
+        optima=found.optima,
+        remarks=found.remarks,
+        transient=found.fit,
     )
 
 

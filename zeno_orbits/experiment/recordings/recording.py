@@ -214,7 +214,7 @@ def read_recording(
         only: Names of the signals to read, if the file has them. All signals are read if `only` is
             empty. The contents of other columns do not matter then.
         families: Beginnings of further names to read. ``contact`` stands for ``contact`` and
-            ``contact.STOP``.
+            ``contact.STOP``, and ``impact`` for ``impact`` and ``impact STOP``.
         units: Units of the signals that a problem has, by name. The recorded units must measure the
             same, and the file must hold one of the signals, or a name of ``families``.
         columns: What is known of the columns beside their titles.
@@ -234,7 +234,7 @@ def read_recording(
     chosen = [
         k
         for k, name in enumerate(names)
-        if k != time and name and (name in wanted or name.partition(".")[0] in families)
+        if k != time and name and (name in wanted or _family(name) in families)
     ]
     for k in chosen:
         if names.count(names[k]) > 1:
@@ -246,6 +246,11 @@ def read_recording(
         if found[k].trouble:
             raise DataFileError(path, found[k].trouble)
     return _of_columns(path, head, notes, found, time, chosen, known, told)
+
+
+def _family(name: str) -> str:
+    """Return the beginning of a name, up to a point or a space."""
+    return name.partition(".")[0].partition(" ")[0]
 
 
 def _of_columns(

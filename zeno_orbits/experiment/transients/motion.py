@@ -36,7 +36,7 @@ from zeno_orbits.simulation import (
     simulate,
 )
 
-_PARTS = 4
+_PARTS = 2
 """Nodes of the sensitivities per step of the integrator."""
 _ROUGH = 1e-10
 """Relative error of a step of a trial simulation, far below the noise of recordings."""

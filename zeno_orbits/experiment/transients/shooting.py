@@ -81,7 +81,7 @@ class Shooting:
     def is_log(self) -> Vector:
         """Mask of the shared unknowns that vary by their logarithm, ``(k,)``."""
         own = [not readings for readings in self.unknowns.readings]
-        return np.array(own) & (self.unknowns.lower > 0.0) & (self.unknowns.start > 0.0)
+        return np.array(own, dtype=np.bool_) & (self.unknowns.lower > 0.0) & (self.unknowns.start > 0.0)
 
     @property
     def bounds(self) -> tuple[Vector, Vector]:

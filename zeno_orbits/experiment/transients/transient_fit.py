@@ -45,7 +45,7 @@ _OTHER_WEIGHT = 1.1
 """Ratio of the weights of two channels, or of the noise, from which the fit is repeated."""
 _HIDDEN = 0.1
 """Part that a parameter has at least in a combination that hides it."""
-_UNLIKE = 0.5
+_UNLIKE = 0.12
 """Residuals relative to the range of the channels from which the motion is another one."""
 _EDGE = 1e-3
 _ROUNDS = 3
@@ -214,7 +214,8 @@ def fit_transients(
         InputError: If a name or a range is invalid, or a recording holds nothing of the problem.
         UnfittableError: If no simulation follows the recordings.
     """
-    begin = begin_of(problem, values, sought)
+    # Without unknowns, the recordings are compared with the given values.
+    begin = begin_of(problem, values, sought) if sought else values
     on_progress("reading the trials", None)
     trials = [
         prepared_trial(problem, begin, one, label=label, start=start or {}, free=free)
@@ -231,7 +232,7 @@ def fit_transients(
     on_progress("weighting the channels", None)
     shooting, found, events = _reweighted(shooting, found, noise)
     after = _deviation(shooting, found.z)
-    if not after < _UNLIKE:
+    if sought and not after < _UNLIKE:
         raise refusal(
             f"the nearest motion is {100 * after:.2g} % of the signals' ranges off: check the "
             f"start values, or crop the recording with --t-start and --t-end"
@@ -472,7 +473,7 @@ def _described(
         fit=TransientFit(
             trials=trials,
             tests=tests,
-            verdict=_verdict(tests, events),
+            verdict=_verdict(tests, events, is_fitted=k > 0),
             starts=found.starts,
             agreed=found.agreed,
             jitter=math.nan if events is None else events.jitter,
@@ -506,6 +507,8 @@ def _unseen(
 ) -> tuple[Unseen, ...]:
     """Return the combinations of shared unknowns that the trials do not determine."""
     k = shooting.n_shared
+    if not k:
+        return ()
     rows = found.jacobian
     own, others = rows[:, :k], rows[:, k:]
     size = np.linalg.norm(others, axis=0)
@@ -515,7 +518,7 @@ def _unseen(
     # Relative to the fitted values, or to the scales of values without a scale of their own.
     by = shooting.slopes(found.z)
     values = np.abs(shooting.values(found.z))
-    additive = np.array(shooting.unknowns.additive)
+    additive = np.array(shooting.unknowns.additive, dtype=np.bool_)
     unit = np.where(additive | (values == 0.0), shooting.unknowns.scale, values) / np.abs(by)
     information = (own * unit).T @ (own * unit)
     names = [label for label, mark in zip(labels, additive, strict=True) if mark]
@@ -583,8 +586,13 @@ def _n_seen(trial: Trial) -> int:
     return sum(len(row) for row in trial.impacts.values())
 
 
-def _verdict(tests: ResidualTests, events: EventNoise | None) -> str:
+def _verdict(tests: ResidualTests, events: EventNoise | None, *, is_fitted: bool) -> str:
     """Return one sentence about the model, the most specific finding first."""
+    if tests.law_differs and not is_fitted:
+        return (
+            f"structure is left: other restitutions at the impacts would explain more "
+            f"(probability {min(tests.law[one] for one in tests.law_differs):.1g} by chance)"
+        )
     if tests.law_differs:
         stops = ", ".join(f"`{one}`" for one in tests.law_differs if one)
         where = f" at {stops}" if stops else ""

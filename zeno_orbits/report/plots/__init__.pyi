@@ -26,6 +26,7 @@ from .style import save_figure as save_figure
 from .time_series import plot_outputs as plot_outputs
 from .time_series import plot_states as plot_states
 from .time_series import plot_time_series as plot_time_series
+from .transient import plot_transient as plot_transient
 from .two_motions import TwoMotions as TwoMotions
 from .two_motions import plot_beside_by_phase as plot_beside_by_phase
 from .two_motions import plot_beside_impacts as plot_beside_impacts

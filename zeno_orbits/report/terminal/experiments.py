@@ -25,11 +25,15 @@ if TYPE_CHECKING:
     from zeno_orbits.experiment import (
         Comparison,
         FittedParameter,
+        FittedTrial,
+        FlightDeviation,
         Identification,
+        ImpactDeviation,
         Metric,
-        Recording,
         RecordingDescription,
         RigComparison,
+        TransientComparison,
+        TransientFit,
     )
 
 _RIG_ROWS = {
@@ -242,8 +246,17 @@ def _known(value: float, form: str, otherwise: str = "-") -> str:
     return f"{value:{form}}" if math.isfinite(value) else otherwise
 
 
-def print_identification(recording: Recording, found: Identification) -> None:
-    """Print parameters that were fitted to a recording."""
+def print_identification(
+    found: Identification, recording_remarks: Sequence[str] = ()
+) -> None:
+    """Print parameters that were fitted to recordings.
+
+    Args:
+        found: The result.
+        recording_remarks: Remarks of the reader of the files.
+    """
+    if found.transient is not None:
+        print_lines([f"Model: {found.transient.verdict}."])
     columns: list[Column[FittedParameter]] = [
         name_column("parameter", lambda one: one.unknown.label),
         number_column("start value", lambda one: f"{one.start:.6g}"),
@@ -254,13 +267,82 @@ def print_identification(recording: Recording, found: Identification) -> None:
     print_table(columns, found.fitted)
     print_lines(
         [
-            f"{_deviation(found)}Period {found.orbit.period:.7g} s.",
+            f"{_deviation(found)}{_period(found)}".strip(),
             *_edges(found),
+            *([] if found.transient is None else _transient_lines(found.transient)),
             "Intervals contain noise and its correlation, and no error of the model. They contain "
             "errors of instruments only if these are fitted: CHANNEL.gain, CHANNEL.offset, "
             "clock_rate.",
-            *(f"Note: {remark}." for remark in (*recording.remarks, *found.remarks)),
+            *(f"Note: {remark}." for remark in (*recording_remarks, *found.remarks)),
             *(f"Warning: {one.text}." for one in found.unseen),
+        ]
+    )
+
+
+def _period(found: Identification) -> str:
+    """Return the period of the orbit in words, empty for transients."""
+    return "" if found.closed_orbit is None else f"Period {found.closed_orbit.period:.7g} s."
+
+
+_LISTED = 6
+"""Trials that have their own line."""
+
+
+def _transient_lines(found: TransientFit) -> list[str]:
+    """Return the impacts, the events and the starts of a fit of transients in words."""
+    lines = [
+        f"{one.label}: {counted(len(one.impacts), 'impact')} of the fitted motion, "
+        f"{one.seen_impacts} in the recording, {counted(len(one.missed), 'event')} missed, "
+        f"{len(one.false)} false."
+        for one in found.trials[:_LISTED]
+    ]
+    others = found.trials[_LISTED:]
+    if others:
+        missed, false = (sum(map(len, rows)) for rows in _errors_of(others))
+        more = counted(len(others), "further trial")
+        lines.append(f"{more}: {counted(missed, 'event')} missed, {false} false.")
+    if math.isfinite(found.scatter):
+        lines.append(
+            f"Event times: jitter {1e3 * found.jitter:.2g} ms, scatter of the restitution per "
+            f"impact {100 * found.scatter:.2g} %."
+        )
+    lines.append(f"Starts: {found.agreed} of {found.starts} led to this optimum.")
+    return lines
+
+
+def _errors_of(trials: Sequence[FittedTrial]) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+    """Return the missed and the false events of trials."""
+    return [one.missed for one in trials], [one.false for one in trials]
+
+
+def print_transient_comparison(found: TransientComparison) -> None:
+    """Print transients compared with the motion of a problem, impact by impact."""
+    print_lines([f"Model: {found.fit.verdict}."])
+    impacts: list[Column[ImpactDeviation]] = [
+        name_column("trial", lambda one: one.trial),
+        number_column("impact", lambda one: str(one.number)),
+        number_column("recorded [s]", lambda one: _known(one.recorded, ".6g", "not seen")),
+        number_column("fitted [s]", lambda one: f"{one.fitted:.6g}"),
+        number_column("difference [ms]", lambda one: _known(1e3 * one.deviation, "+.3g")),
+    ]
+    if found.impacts:
+        print_table(impacts, found.impacts)
+    flights: list[Column[FlightDeviation]] = [
+        name_column("trial", lambda one: one.trial),
+        text_column("signal", lambda one: one.signal),
+        number_column("flight", lambda one: str(one.flight)),
+        number_column("begin [s]", lambda one: f"{one.begin:.5g}"),
+        number_column("mean deviation", lambda one: f"{one.mean:+.3g}"),
+        number_column("rms deviation", lambda one: f"{one.rms:.3g}"),
+        text_column("unit", lambda one: one.unit),
+    ]
+    if found.flights:
+        print_table(flights, found.flights)
+    print_lines(
+        [
+            f"Deviation of all signals relative to their ranges: {found.rms:.2g}. Only initial "
+            "values were fitted.",
+            *(f"Note: {remark}." for remark in found.remarks),
         ]
     )
 

@@ -1,0 +1,39 @@
+"""Settled orbit or transient: the decision from the recordings alone."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.recordings.periodicity import periodicity
+from zeno_orbits.experiment.recordings.recording import Recording
+from zeno_orbits.experiment.transients.event_record import has_event_times
+from zeno_orbits.experiment.transients.seen_impacts import rest_begins
+
+_CYCLES, _REPEATS = 2.0, 0.8
+"""Periods, and part of the variance that repeats, of a settled recording at least."""
+
+
+def transient_reason(recordings: Sequence[Recording], signals: Collection[str]) -> str:
+    """Return why recordings are transients, empty if they may show a settled orbit.
+
+    Args:
+        recordings: The recordings.
+        signals: Names of the signals of the problem.
+    """
+    if len(recordings) > 1:
+        return "several trials were given"
+    (recording,) = recordings
+    if has_event_times(recording):
+        return "the recording holds times of events"
+    rows = [one.values for one in recording.signals if one.name in signals]
+    if not rows:
+        return ""
+    values: Vector = np.array(rows)
+    found = periodicity(recording.time, values)
+    if found is not None and found.n_cycles >= _CYCLES and found.repeats >= _REPEATS:
+        return ""
+    begun = rest_begins(recording.time, values.T)
+    return "" if begun is None else f"the motion comes to rest at {begun:.4g} s"
