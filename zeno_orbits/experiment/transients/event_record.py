@@ -7,7 +7,8 @@ of times consists of such columns alone, which may have different lengths.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,15 +18,18 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import DataFileError, InputError, not_known
 from zeno_orbits.experiment.recordings.columns import TIMES, ColumnNotes, columns_of
 from zeno_orbits.experiment.recordings.contacts import contact_channels
-from zeno_orbits.experiment.recordings.heads import read_head
+from zeno_orbits.experiment.recordings.heads import number_of, opened, pieces_of, read_head, short
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording
 from zeno_orbits.experiment.recordings.table import read_table
 from zeno_orbits.experiment.transients.event_labels import Labels, labelled, sequences_of
+from zeno_orbits.model.expressions.units import in_si
 from zeno_orbits.simulation import EventKind
 
 _KINDS = {"impact": EventKind.IMPACT, "release": EventKind.RELEASE}
 EVENT_FAMILIES = tuple(_KINDS)
 """First words of the titles of columns of event times."""
+_TITLES = 4096
+"""Characters in which a file of several columns has a separator."""
 _CLOSED = 3
 """Samples of a flight at least that a contact channel resolves."""
 
@@ -43,6 +47,7 @@ class EventSeries:
         error: Standard error of the times that is known beforehand [s], or zero.
         missed: Sentences about events that were not recorded.
         false: Sentences about events that are no events of the machine.
+        ratio: Ratio of neighbouring flights in the first sequence of impacts, or NaN.
     """
 
     kind: EventKind
@@ -53,12 +58,13 @@ class EventSeries:
     error: float = 0.0
     missed: tuple[str, ...] = ()
     false: tuple[str, ...] = ()
+    ratio: float = math.nan
 
 
 def read_event_file(path: Path | str) -> Recording | None:
     """Return a file of event times alone as a recording, or ``None`` if it has a column of times.
 
-    A single column `time [s]` holds times of impacts.
+    A single column `time [s]` holds times of impacts, one per line.
 
     Args:
         path: The file.
@@ -67,13 +73,14 @@ def read_event_file(path: Path | str) -> Recording | None:
         DataFileError: If the file cannot be parsed.
     """
     path = Path(path)
+    lone = _lone_column(path)
+    if lone is not None:
+        return lone
     head = read_head(path)
     titles = [title.partition("[")[0].partition("(")[0].strip() for title in head.columns]
     chosen = [k for k, title in enumerate(titles) if _kind_of(title) is not None]
-    lone = len(titles) == 1 and titles[0].lower() in TIMES
-    if not lone and (not chosen or any(title.lower() in TIMES for title in titles)):
+    if not chosen or any(title.lower() in TIMES for title in titles):
         return None
-    chosen = [0] if lone else chosen
     columns = columns_of(head, {}, ColumnNotes())
     for k in chosen:
         if columns[k].trouble or columns[k].unit != "s":
@@ -81,8 +88,56 @@ def read_event_file(path: Path | str) -> Recording | None:
             raise DataFileError(path, f"{told}: write `{titles[k]} [s]`")
     table = read_table(path, head, chosen)
     rows = [row * columns[k].size for k, row in zip(chosen, table.values, strict=True)]
-    names = ["impact" if lone else titles[k] for k in chosen]
-    every = np.unique(np.concatenate(rows))
+    return _of_times(path, {titles[k]: row for k, row in zip(chosen, rows, strict=True)})
+
+
+def _lone_column(path: Path) -> Recording | None:
+    """Return a file of one column as a recording, or ``None`` if it has several columns.
+
+    Raises:
+        DataFileError: If its title is not that of events, or a line is not a number.
+    """
+    with opened(path) as file:
+        pieces = pieces_of(file)
+        first = next(pieces, "")
+        if any(sign in first[:_TITLES] for sign in ",;\t"):
+            return None
+        lines = "".join([first, *pieces]).split("\n")
+    rows = [
+        (number, line.strip().strip('"'))
+        for number, line in enumerate(lines, start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not rows:
+        return None
+    title = rows[0][1]
+    name = title.partition("[")[0].partition("(")[0].strip()
+    if _kind_of(name) is None and name.lower() not in TIMES:
+        return None
+    unit = title[len(name) :].strip(" []()")
+    try:
+        si, size = in_si(unit)
+    except ValueError:
+        si, size = "", 1.0
+    if si != "s":
+        raise DataFileError(path, f"line {rows[0][0]}: write the title as `{name} [s]`")
+    values: list[float] = []
+    for number, text in rows[1:]:
+        value = number_of(text)
+        if value is None:
+            told = f"line {number} has `{short(text)}` where a time is expected"
+            raise DataFileError(path, f"{told}: correct or delete the line")
+        values.append(value * size)
+    return _of_times(path, {name if _kind_of(name) else "impact": np.array(values)})
+
+
+def _of_times(path: Path, columns: Mapping[str, Vector]) -> Recording:
+    """Return columns of event times as a recording, whose times are all of them.
+
+    Raises:
+        DataFileError: If there are fewer than two.
+    """
+    every = np.unique(np.concatenate(list(columns.values())))
     every = every[np.isfinite(every)]
     if len(every) < 2:
         raise DataFileError(path, "it holds fewer than two event times")
@@ -92,9 +147,8 @@ def read_event_file(path: Path | str) -> Recording | None:
         time=every,
         signals=tuple(
             RecordedSignal(name=name, unit="s", values=np.where(np.isin(every, row), every, np.nan))
-            for name, row in zip(names, rows, strict=True)
+            for name, row in columns.items()
         ),
-        remarks=table.remarks,
     )
 
 
@@ -165,9 +219,11 @@ def _labelled_series(kind: EventKind, stop: str, times: Vector) -> EventSeries:
         )
     kept, groups, numbers = list[float](), list[int](), list[int]()
     missed, false = list[str](), list[str]()
+    ratios: list[float] = []
     for group, part in enumerate(sequences_of(times)):
         own = times[part]
         labels = labelled(own)
+        ratios.append(labels.ratio)
         missed += _missed_words(own, labels, stop)
         for time, number in zip(own.tolist(), labels.numbers, strict=True):
             if number is None:
@@ -184,6 +240,7 @@ def _labelled_series(kind: EventKind, stop: str, times: Vector) -> EventSeries:
         numbers=tuple(numbers),
         missed=tuple(missed),
         false=tuple(false),
+        ratio=ratios[0],
     )
 
 

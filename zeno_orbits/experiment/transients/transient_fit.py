@@ -230,8 +230,10 @@ def fit_transients(
         raise refusal("the motion from the recorded start cannot be simulated at the start values")
     noise = tuple(one.noise for one in shooting.trials)
     on_progress("weighting the channels", None)
-    shooting, found, events = _reweighted(shooting, found, noise)
     after = _deviation(shooting, found.z)
+    shooting, found, events = _reweighted(shooting, found, noise)
+    # With scatter of the restitution, late event times may be far from the most likely motion.
+    after = min(after, _deviation(shooting, found.z))
     if sought and not after < _UNLIKE:
         raise refusal(
             f"the nearest motion is {100 * after:.2g} % of the signals' ranges off: check the "
@@ -319,7 +321,7 @@ def _with_seen_restitution(
     """Return the start with the restitution that recorded flights show, if it is fitted."""
     names = [name for one in sought for name in one.names if name == "restitution"]
     boxes = [one for one in sought if "restitution" in one.names]
-    ratios = [_ratio(row) for one in trials for row in _impact_rows(one)]
+    ratios = [ratio for one in trials for ratio in _seen_ratios(one)]
     known = [one for one in ratios if math.isfinite(one)]
     if not names or not known or len(boxes) != 1 or len(boxes[0].names) != 1:
         return begin
@@ -333,9 +335,9 @@ def _with_seen_restitution(
     )
 
 
-def _impact_rows(trial: Trial) -> list[Vector]:
-    heard = [one.times for one in trial.series if one.kind.word == "impact"]
-    return [*trial.impacts.values(), *heard]
+def _seen_ratios(trial: Trial) -> list[float]:
+    """Return the ratios of neighbouring flights that a trial shows."""
+    return [*map(_ratio, trial.impacts.values()), *(one.ratio for one in trial.series)]
 
 
 def _ratio(impacts: Vector) -> float:
