@@ -130,7 +130,7 @@ def _likely(rest: Vector, rows: Vector, blocks: list[Vector], floor: float) -> E
     scaled = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
     basis = basis[:, sizes > 1e-9 * sizes[0]] if len(sizes) else basis
-    low = math.log(max(floor, 1e-6 * size, 1e-12))
+    low = math.log(max(floor, 1e-3 * size, 1e-12))
 
     def negative(x: Vector) -> float:
         jitter, scatter = math.exp(x[0]), math.exp(x[1])

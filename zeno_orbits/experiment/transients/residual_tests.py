@@ -42,12 +42,16 @@ class ResidualTests:
             differences. NaN without samples.
         alike: Probability of neighbouring residuals as alike as these, if they are white.
         law: Probability of a score as large as this by stop, if every impact has the same law.
+        speed: The same by stop for one deviation in proportion to the impact speed.
+        left: The same as `law` by stop beside this deviation.
         inflation: Ratio of the errors to those for independent residuals.
     """
 
     misfit: float
     alike: float
     law: dict[str, float]
+    speed: dict[str, float]
+    left: dict[str, float]
     inflation: float
 
     @property
@@ -56,9 +60,15 @@ class ResidualTests:
         return tuple(stop for stop, p in self.law.items() if p < _RARE)
 
     @property
+    def speed_matters(self) -> tuple[str, ...]:
+        """Stops whose restitution changes with the impact speed."""
+        return tuple(stop for stop, p in self.speed.items() if p < _RARE)
+
+    @property
     def has_structure(self) -> bool:
         """True if the model does not explain the recording."""
-        return self.misfit > _LOUD or self.alike < _RARE or bool(self.law_differs)
+        tests = (*self.law_differs, *self.speed_matters)
+        return self.misfit > _LOUD or self.alike < _RARE or bool(tests)
 
 
 def tested(shooting: Shooting, fit: Fit, noise: tuple[Vector, ...]) -> ResidualTests:
@@ -76,10 +86,13 @@ def tested(shooting: Shooting, fit: Fit, noise: tuple[Vector, ...]) -> ResidualT
         squares += float(row @ row) * ratio**2
         count += len(row)
     lost = count / max(count - len(fit.z), 1)
+    law, speed, left = _laws(shooting, fit)
     return ResidualTests(
         misfit=math.sqrt(squares / count * lost) if count else math.nan,
         alike=_alike(list(channels.values())),
-        law=_laws(shooting, fit),
+        law=law,
+        speed=speed,
+        left=left,
         inflation=_inflation(list(channels.values())),
     )
 
@@ -132,17 +145,34 @@ def _inflation(channels: list[Vector]) -> float:
     return math.sqrt(max(total / weight, 1.0)) if weight else 1.0
 
 
-def _laws(shooting: Shooting, fit: Fit) -> dict[str, float]:
-    """Return the probability of the score of one restitution per impact, by stop."""
+_Probabilities = dict[str, float]
+
+
+def _laws(
+    shooting: Shooting, fit: Fit
+) -> tuple[_Probabilities, _Probabilities, _Probabilities]:
+    """Return the probabilities of the scores by stop.
+
+    Returns:
+        Those of one restitution per impact, of a deviation in proportion to the impact speed, and
+        of one restitution per impact beside that deviation.
+    """
     basis, _ = np.linalg.qr(_scaled(fit.jacobian))
-    found: dict[str, float] = {}
+    found: tuple[_Probabilities, _Probabilities, _Probabilities] = ({}, {}, {})
     for stop in shooting.graph.stop_names:
-        columns = _deviation_rows(shooting, fit, stop)
+        columns, speeds = _deviation_rows(shooting, fit, stop)
         if columns.shape[1] < 2:
             continue
-        probability = _score(columns, basis, fit)
-        if probability is not None:
-            found[stop] = probability
+        along = (columns @ (speeds / np.max(np.abs(speeds))))[:, None]
+        wider, _ = np.linalg.qr(np.concatenate([basis, _scaled(along)], axis=1))
+        scores = (
+            _score(columns, basis, fit),
+            _score(along, basis, fit),
+            _score(columns, wider, fit),
+        )
+        for own, probability in zip(found, scores, strict=True):
+            if probability is not None:
+                own[stop] = probability
     return found
 
 
@@ -168,26 +198,28 @@ def _score(columns: Vector, basis: Vector, fit: Fit) -> float | None:
     return float(fisher.sf(power / rank / (other / freedom), rank, freedom))
 
 
-def _deviation_rows(shooting: Shooting, fit: Fit, stop: str) -> Vector:
-    """Return the derivatives of the residuals with respect to single restitutions of a stop."""
-    blocks: list[tuple[int, Vector]] = []
-    at = 0
-    for k, trial in enumerate(shooting.trials):
-        n_rows = int(trial.seen.sum()) + trial.n_events
-        rows = deviation_rows_of_trial(shooting, fit.z, k, stop, most=_MOST)
-        blocks.append((at, rows))
-        at += n_rows
-    found = np.zeros((at, sum(rows.shape[1] for _, rows in blocks)))
-    column = 0
-    for first, rows in blocks:
-        found[first : first + len(rows), column : column + rows.shape[1]] = rows
-        column += rows.shape[1]
-    return found
+def _deviation_rows(shooting: Shooting, fit: Fit, stop: str) -> tuple[Vector, Vector]:
+    """Return the derivatives of the residuals with respect to single restitutions of a stop.
+
+    Returns:
+        The derivatives, ``(n_r, n)``, and the impact speeds, ``(n,)``.
+    """
+    blocks = [
+        deviation_rows_of_trial(shooting, fit.z, k, stop, most=_MOST)
+        for k in range(len(shooting.trials))
+    ]
+    found = np.zeros((sum(len(rows) for rows, _ in blocks), sum(len(v) for _, v in blocks)))
+    row = column = 0
+    for rows, own in blocks:
+        found[row : row + len(rows), column : column + len(own)] = rows
+        row += len(rows)
+        column += len(own)
+    return found, np.concatenate([own for _, own in blocks])
 
 
 def deviation_rows_of_trial(
     shooting: Shooting, z: Vector, k: int, stop: str, *, most: int | None
-) -> Vector:
+) -> tuple[Vector, Vector]:
     """Return the derivatives of the residuals of a trial with respect to single restitutions.
 
     Args:
@@ -196,14 +228,17 @@ def deviation_rows_of_trial(
         k: Index of the trial.
         stop: Name of the stop.
         most: Largest number of impacts.
+
+    Returns:
+        The derivatives, ``(n_r, n)``, and the impact speeds, ``(n,)``.
     """
     trial = shooting.trials[k]
     own = shooting.predicted(k, z, math.inf)
     n_rows = int(trial.seen.sum()) + trial.n_events
     if own is None:
-        return np.zeros((n_rows, 0))
+        return np.zeros((n_rows, 0)), np.zeros(0)
     impacts = _resolved(shooting, k, own.motion.execution.impacts, stop, own.offset)[:most]
-    columns = list[Vector]()
+    columns, speeds = list[Vector](), list[float]()
     n_x, p = len(shooting.graph.state_names), shooting.parameters(z)
     instruments = shooting.unknowns.instruments(trial.measured.names)
     values = shooting.values(z)
@@ -231,7 +266,9 @@ def deviation_rows_of_trial(
             # The last impacts before a Zeno point have no derivative of their own.
             continue
         columns.append(np.concatenate(parts))
-    return np.stack(columns, axis=1) if columns else np.zeros((n_rows, 0))
+        speeds.append(abs(impact.approach_rate))
+    rows = np.stack(columns, axis=1) if columns else np.zeros((n_rows, 0))
+    return rows, np.array(speeds)
 
 
 def _late(rows: Vector, found: list[int | None]) -> Vector:

@@ -27,7 +27,9 @@ _SAME = 1e-3
 _DIFFERENCE = 3.84
 _FAILED = 1e4
 """Residual of a trial that cannot be simulated."""
-_INSIDE = 1e-9
+_INSIDE, _EDGE = 1e-9, 1e-6
+_NOTHING = 1e-2
+"""Squared standard errors of a step that is negligible."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -143,7 +145,20 @@ def fitted(
         gtol=1e-12,
     )
     z = whole(np.asarray(found.x, dtype=np.float64))
-    return Fit(z=z, rest=at.rest(z), jacobian=at.rows(z), converged=found.status > 0)
+    rest, rows = at.rest(z), at.rows(z)
+    # A further step along the interior that gains nothing also ends the iteration.
+    inner = free[(z[free] > low[free] + _EDGE) & (z[free] < high[free] - _EDGE)]
+    converged = found.status > 0 or _gain(rest, rows[:, inner]) < _NOTHING
+    return Fit(z=z, rest=rest, jacobian=rows, converged=converged)
+
+
+def _gain(rest: Vector, rows: Vector) -> float:
+    """Return the part of a standard error, squared, that a Gauss-Newton step would move."""
+    size = np.linalg.norm(rows, axis=0)
+    basis, _ = np.linalg.qr(rows[:, size > 0.0] / size[size > 0.0])
+    along = basis.T @ rest
+    scale = float(rest @ rest) / max(len(rest) - basis.shape[1], 1)
+    return float(along @ along) / max(scale, 1e-300)
 
 
 def staged(shooting: Shooting, z: Vector, on_progress: Progress) -> Fit:

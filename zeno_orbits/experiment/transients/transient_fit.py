@@ -134,6 +134,7 @@ class TransientFit(ByValue):
             "verdict": self.verdict,
             "structure_left": self.tests.has_structure,
             "same_law": dict(self.tests.law),
+            "no_speed_law": dict(self.tests.speed),
             "white": self.tests.alike,
             "starts": self.starts,
             "agreed": self.agreed,
@@ -595,15 +596,8 @@ def _verdict(tests: ResidualTests, events: EventNoise | None, *, is_fitted: bool
             f"structure is left: other restitutions at the impacts would explain more "
             f"(probability {min(tests.law[one] for one in tests.law_differs):.1g} by chance)"
         )
-    if tests.law_differs:
-        stops = ", ".join(f"`{one}`" for one in tests.law_differs if one)
-        where = f" at {stops}" if stops else ""
-        rare = min(tests.law[one] for one in tests.law_differs)
-        return (
-            f"structure is left: the impacts{where} do not have one restitution (probability "
-            f"{rare:.1g}); a law that depends on the speed or scatter explains this, and a single "
-            f"drop cannot separate them"
-        )
+    if tests.speed_matters or tests.law_differs:
+        return _law_verdict(tests)
     if tests.misfit > 1.25:
         return (
             f"structure is left: the residuals are {tests.misfit:.3g} times the noise, so the "
@@ -617,6 +611,27 @@ def _verdict(tests: ResidualTests, events: EventNoise | None, *, is_fitted: bool
     if events is not None and not math.isfinite(tests.misfit):
         return "no structure is left: one law with its scatter explains the event times"
     return "no structure is left: the residuals are white and as large as the noise"
+
+
+def _law_verdict(tests: ResidualTests) -> str:
+    """Return the sentence about impacts that do not have one restitution."""
+    stops = dict.fromkeys((*tests.speed_matters, *tests.law_differs))
+    where = f" at {', '.join(f'`{one}`' for one in stops)}"
+    explained = all(tests.left.get(one, 1.0) >= 1e-3 for one in stops)
+    rare = min([*tests.speed.values(), *tests.law.values()])
+    if tests.speed_matters and explained:
+        return (
+            f"structure is left: the restitution{where} changes with the impact speed "
+            f"(probability {rare:.1g} without such a law)"
+        )
+    also = ""
+    if not math.isfinite(tests.misfit):
+        also = ", beyond scatter"
+    return (
+        f"structure is left: the impacts{where} do not have one restitution{also} (probability "
+        f"{rare:.1g}); a law of the speed or scatter may explain this, and a single drop cannot "
+        f"separate them"
+    )
 
 
 def _remarks(
