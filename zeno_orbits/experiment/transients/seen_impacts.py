@@ -57,14 +57,14 @@ def recorded_gaps(
     for k, row in columns.items():
         states[:, k] = row
     for name, view in zip(graph.stop_names, graph.open_views, strict=True):
-        if _needs(view.gap, start) <= set(columns):
+        if needed_states(view.gap, start) <= set(columns):
             found[name] = np.array(
                 [view.gap(x) if np.isfinite(x).all() else np.nan for x in states]
             )
     return found
 
 
-def _needs(gap: Callable[[Vector], float], start: Vector) -> set[int]:
+def needed_states(gap: Callable[[Vector], float], start: Vector) -> set[int]:
     """Return the indices of the states that a gap depends on."""
     here, needed = float(gap(start)), set[int]()
     for k in range(len(start)):

@@ -7,8 +7,8 @@ the first impact has one, and each longer horizon starts near its optimum. A wea
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,7 @@ class Fit:
         agreed: Number of starts that led to this optimum.
         starts: Number of starts.
         others: Unknowns of other optima that fit as well.
+        found: Unknowns that all starts led to.
     """
 
     z: Vector
@@ -53,6 +54,7 @@ class Fit:
     agreed: int = 1
     starts: int = 1
     others: tuple[Vector, ...] = ()
+    found: tuple[Vector, ...] = ()
 
     @property
     def cost(self) -> float:
@@ -215,18 +217,37 @@ def best_fit(shooting: Shooting, z: Vector, on_progress: Progress) -> Fit | None
             break
     if not found:
         return None
+    return _best_of(found, shooting, tried)
+
+
+def _best_of(found: Sequence[Fit], shooting: Shooting, tried: int) -> Fit:
+    """Return the best of some optima, with the number of those that agree and the others."""
     best = min(found, key=lambda one: one.cost)
     alike = [one for one in found if _as_good(one, best)]
     others = tuple(one.z for one in alike if _apart(one, best, shooting.n_shared))
-    return Fit(
-        z=best.z,
-        rest=best.rest,
-        jacobian=best.jacobian,
-        converged=best.converged,
+    return replace(
+        best,
         agreed=len(alike) - len(others),
         starts=tried,
         others=others,
+        found=tuple(one.z for one in found),
     )
+
+
+def refitted(shooting: Shooting, found: Fit) -> Fit:
+    """Return the best optimum near those of all starts, for other weights or masks.
+
+    Args:
+        shooting: The trials with the other weights or masks.
+        found: The fit with the former ones.
+    """
+    again: list[Fit] = []
+    for z in found.found:
+        try:
+            again.append(fitted(shooting, z))
+        except LostStartError:
+            continue
+    return _best_of(again, shooting, found.starts) if again else found
 
 
 def _as_good(one: Fit, best: Fit) -> bool:

@@ -35,6 +35,7 @@ from zeno_orbits.experiment.transients.staged_fit import (
     Fit,
     best_fit,
     fitted,
+    refitted,
 )
 from zeno_orbits.experiment.transients.trial import OFFSET, Trial, prepared_trial
 from zeno_orbits.model import ParameterValues, Problem
@@ -229,6 +230,7 @@ def fit_transients(
     found = best_fit(shooting, first, on_progress)
     if found is None:
         raise refusal("the motion from the recorded start cannot be simulated at the start values")
+    shooting, found = _masked(shooting, found)
     noise = tuple(one.noise for one in shooting.trials)
     on_progress("weighting the channels", None)
     after = _deviation(shooting, found.z)
@@ -370,6 +372,28 @@ def _deviation(shooting: Shooting, z: Vector) -> float:
             steps = [np.max(np.diff(one.times)) for one in trial.series if len(one.times) > 1]
             squares.append(float(np.mean(off**2)) / max([*map(float, steps), 1e-300]) ** 2)
     return math.sqrt(float(np.mean(squares))) if squares else math.inf
+
+
+def _masked(shooting: Shooting, found: Fit) -> tuple[Shooting, Fit]:
+    """Return the fit without jumping channels beside the impacts of its motion.
+
+    A gap may hide impacts of which a velocity has samples. The mask does not move during a fit.
+    """
+    if not any(one.jumping.any() for one in shooting.trials):
+        return shooting, found
+    for _ in range(2):
+        trials: list[Trial] = []
+        for k, trial in enumerate(shooting.trials):
+            at = shooting.predicted(k, found.z, math.inf)
+            if at is None:
+                return shooting, found
+            for stop in shooting.graph.stop_names:
+                own = [one for one in at.motion.execution.impacts if one.stop == stop]
+                trial = trial.without(np.array([one.time for one in own]) + at.offset)  # noqa: PLW2901
+            trials.append(trial)
+        shooting = replace(shooting, trials=tuple(trials))
+        found = refitted(shooting, found)
+    return shooting, found
 
 
 def _reweighted(

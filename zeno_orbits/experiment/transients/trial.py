@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from zeno_orbits.experiment.transients.event_record import EventSeries, event_se
 from zeno_orbits.experiment.transients.seen_impacts import (
     beside_impacts,
     impacts_in_gap,
+    needed_states,
     noise_of,
     recorded_gaps,
 )
@@ -71,6 +72,7 @@ class Trial:
         horizons: End times of the stages of the fit, the last one whole [s].
         remarks: Remarks on the trial.
         shift: Time offset of the simulation at the start of the fit [s].
+        jumping: Mask of the channels that may jump at impacts, ``(n_s,)``.
     """
 
     label: str
@@ -88,6 +90,19 @@ class Trial:
     horizons: tuple[float, ...]
     remarks: tuple[str, ...]
     shift: float = 0.0
+    jumping: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+
+    def without(self, impacts: Vector) -> Trial:
+        """Return the trial without the samples of jumping channels beside further impacts.
+
+        Args:
+            impacts: Times of impacts since the origin, in order [s].
+        """
+        if not len(self.time):
+            return self
+        step = float(np.median(np.diff(self.time)))
+        beside = beside_impacts(self.time, impacts, step)
+        return replace(self, seen=self.seen & ~(beside[:, None] & self.jumping[None, :]))
 
     @property
     def n_events(self) -> int:
@@ -272,6 +287,7 @@ def _of_samples(
         start=at_start,
         free=frees,
         horizons=_horizons(time, every),
+        jumping=jumping,
         remarks=tuple(remarks),
     )
 
@@ -342,8 +358,10 @@ def _on_stops(
         return x, held
     for view in graph.open_views:
         gap = float(view.gap(x))
-        noise = max((noise_of(row) for row in states.values()), default=0.0)
-        size = max((float(np.nanmax(row) - np.nanmin(row)) for row in states.values()), default=1.0)
+        # The gap counts in the units of its coordinates up to their transmission.
+        rows = [states[k] for k in needed_states(view.gap, x) if k in states]
+        noise = max((noise_of(row) for row in rows), default=0.0)
+        size = max((float(np.nanmax(row) - np.nanmin(row)) for row in rows), default=1.0)
         if gap > max(6.0 * noise, 1e-9 * size):
             continue
         resting = view.on_stop(x)
