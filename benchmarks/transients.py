@@ -36,6 +36,7 @@ from scipy.stats import binomtest
 
 import zeno_orbits as zo
 from zeno_orbits.experiment import RecordedSignal
+from zeno_orbits.work import silent
 
 _OFF = 0.2
 """Relative error of the values at the start of a fit."""
@@ -204,9 +205,7 @@ def one_fit(
         name: value * (1 + 0.1 * random.uniform(-1, 1)) if name != "cosine" else value
         for name, value in machine.start.items()
     }
-    motion = zo.simulate(
-        problem, until=machine.until, parameters=truth, start=start or None
-    )
+    motion = zo.simulate(problem, until=machine.until, parameters=truth, start=start or None)
     noise = float(np.exp(random.uniform(*np.log(_NOISE))))
     seed = int(random.integers(2**31))
     sampled = zo.sample_execution(
@@ -223,7 +222,7 @@ def one_fit(
         parameters={**problem.values(parameters=truth).parameters, **begin},
         start={} if "current" in machine.signals else fixed,
         transient=True,
-        on_progress=lambda *_: None,
+        on_progress=silent,
     )
     flights = np.diff([*(one.time for one in motion.impacts), math.inf])
     before = np.diff([-math.inf, *(one.time for one in motion.impacts)])
@@ -277,9 +276,7 @@ def pendulum_angles(
     found, begin, state = np.zeros(len(times)), 0.0, [angle, 0.0]
     while begin < times[-1] and (abs(state[1]) > 1e-4 or begin == 0.0):
         span = (begin, float(times[-1]) + 1e-9)
-        run = solve_ivp(
-            rate, span, state, events=gap, dense_output=True, rtol=1e-10, atol=1e-12
-        )
+        run = solve_ivp(rate, span, state, events=gap, dense_output=True, rtol=1e-10, atol=1e-12)
         end = float(run.t[-1])
         inside = (times >= begin) & (times <= end)
         if inside.any():
@@ -324,7 +321,7 @@ def wrong_fits(random: np.random.Generator) -> Iterator[tuple[str, bool, zo.Iden
             recording_of("bouncing_ball", "height", "m", times, heights),
             ["restitution"],
             transient=True,
-            on_progress=lambda *_: None,
+            on_progress=silent,
         )
         yield "ball, restitution of the speed", is_wrong, found
         clean = pendulum_angles(times, 1.6, random.uniform(0.2, 0.6) if is_wrong else 0.0)
@@ -334,7 +331,7 @@ def wrong_fits(random: np.random.Generator) -> Iterator[tuple[str, bool, zo.Iden
             recording_of("falling_pendulum", "angle", "rad", times, angles),
             ["restitution", "I"],
             transient=True,
-            on_progress=lambda *_: None,
+            on_progress=silent,
         )
         yield "pendulum, friction", is_wrong, found
 
@@ -355,7 +352,7 @@ def drops(table: Path) -> int:
             [_events(np.unique(np.array(times))) for times in rows.values()],
             ["restitution"],
             free=["height"],
-            on_progress=lambda *_: None,
+            on_progress=silent,
         )
         detail, one = found.transient, found.fitted[0]
         if detail is None:

@@ -14,6 +14,8 @@ from zeno_orbits.experiment.transients.seen_impacts import rest_begins
 
 _CYCLES, _REPEATS = 2.0, 0.8
 """Periods, and part of the variance that repeats, of a settled recording at least."""
+_SMALLER, _FEWEST = 0.6, 20
+"""Ratio of the last to the first third of a decaying motion at most, and samples of a third."""
 
 
 def transient_reason(recordings: Sequence[Recording], signals: Collection[str]) -> str:
@@ -36,4 +38,19 @@ def transient_reason(recordings: Sequence[Recording], signals: Collection[str]) 
     if found is not None and found.n_cycles >= _CYCLES and found.repeats >= _REPEATS:
         return ""
     begun = rest_begins(recording.time, values.T)
-    return "" if begun is None else f"the motion comes to rest at {begun:.4g} s"
+    if begun is not None:
+        return f"the motion comes to rest at {begun:.4g} s"
+    return "the motion decays" if _decays(values) else ""
+
+
+def _decays(values: Vector) -> bool:
+    """Return True if all signals move less in the last third than in the first one.
+
+    Args:
+        values: Signals, ``(n_s, n)``.
+    """
+    part = values.shape[1] // 3
+    if part < _FEWEST:
+        return False
+    first, last = (np.nanstd(rows, axis=1) for rows in (values[:, :part], values[:, -part:]))
+    return bool(np.all(last < _SMALLER * first))

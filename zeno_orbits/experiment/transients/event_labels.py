@@ -14,6 +14,7 @@ smaller cost of a false event explains a missed second impact as a false first o
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -83,7 +84,7 @@ def sequences_of(times: Vector) -> list[slice]:
         if is_long and k + 1 - edges[-1] > _MOST_FALSE + 2:
             edges.append(k + 1)
     edges.append(len(times))
-    return [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+    return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
 
 def labelled(times: Vector) -> Labels:
@@ -158,7 +159,7 @@ def _median_ratio(times: Vector, path: Sequence[_Step], otherwise: float) -> flo
     flights = [(one, times[one.last] - times[one.first]) for one in path]
     ratios = [
         after / before
-        for (one, before), (then, after) in zip(flights, flights[1:], strict=False)
+        for (one, before), (then, after) in itertools.pairwise(flights)
         if one.skipped == then.skipped == 0
     ]
     return float(np.clip(np.median(ratios), 0.02, 0.985)) if ratios else otherwise

@@ -19,6 +19,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
+from zeno_orbits.experiment.transients.motion import Motion
 from zeno_orbits.experiment.transients.shooting import Shooting, event_times, matched
 from zeno_orbits.simulation import Impact
 
@@ -102,13 +103,9 @@ def _linear(shooting: Shooting, z: Vector, k: int) -> tuple[Vector, Vector, Vect
 
 
 def _column(
-    shooting: Shooting, k: int, motion: object, impact: Impact, places: list[list[int | None]]
+    shooting: Shooting, k: int, motion: Motion, impact: Impact, places: list[list[int | None]]
 ) -> Vector | None:
     """Return the derivatives of the events with respect to the logarithm of one restitution."""
-    from zeno_orbits.experiment.transients.motion import Motion
-
-    if not isinstance(motion, Motion):
-        return None
     view = shooting.graph.open_views[shooting.graph.stop_names.index(impact.stop)]
     ratio = float(view.speed_after(impact.approach_rate)) / abs(impact.approach_rate)
     parts: list[Vector] = []
@@ -126,11 +123,11 @@ def _likely(rest: Vector, rows: Vector, blocks: list[Vector], floor: float) -> E
     """Return the noise of the greatest restricted likelihood."""
     from scipy.optimize import minimize
 
-    size = math.sqrt(float(rest @ rest) / len(rest)) + 1e-15
+    size = max(math.sqrt(float(rest @ rest) / len(rest)), floor, 1e-9)
     scaled = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
     basis = basis[:, sizes > 1e-9 * sizes[0]] if len(sizes) else basis
-    low = math.log(max(floor, 1e-3 * size, 1e-12))
+    low = math.log(max(floor, 1e-3 * size))
 
     def negative(x: Vector) -> float:
         jitter, scatter = math.exp(x[0]), math.exp(x[1])
@@ -139,8 +136,9 @@ def _likely(rest: Vector, rows: Vector, blocks: list[Vector], floor: float) -> E
         at = 0
         for block in blocks:
             n = len(block)
-            covariance = jitter**2 * np.eye(n) + scatter**2 * block @ block.T
-            root = np.linalg.cholesky(covariance + 1e-14 * np.trace(covariance) / n * np.eye(n)) if n else np.zeros((0, 0))
+            if not n:
+                continue
+            root = _root(jitter, scatter, block)
             total += 2.0 * float(np.sum(np.log(np.diag(root))))
             white_rest[at : at + n] = np.linalg.solve(root, rest[at : at + n])
             white_rows[at : at + n] = np.linalg.solve(root, basis[at : at + n])
@@ -164,16 +162,20 @@ def _likely(rest: Vector, rows: Vector, blocks: list[Vector], floor: float) -> E
         ),
         key=lambda one: one.fun,
     )
-    return EventNoise(
-        jitter=math.exp(best.x[0]), scatter=math.exp(best.x[1]), estimated=True
-    )
+    return EventNoise(jitter=math.exp(best.x[0]), scatter=math.exp(best.x[1]), estimated=True)
+
+
+def _root(jitter: float, scatter: float, block: Vector) -> Vector:
+    """Return the lower root of the covariance of the events of a trial, ``(n_e, n_e)``."""
+    n = len(block)
+    covariance = jitter**2 * np.eye(n) + scatter**2 * block @ block.T
+    covariance += 1e-14 * np.trace(covariance) / n * np.eye(n)
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
 
 
 def _whitening(noise: EventNoise, block: Vector) -> Vector:
     """Return the inverse root of the covariance of the events of a trial."""
-    n = len(block)
-    if not n:
+    if not len(block):
         return np.zeros((0, 0))
-    covariance = noise.jitter**2 * np.eye(n) + noise.scatter**2 * block @ block.T
-    root = np.linalg.cholesky(covariance + 1e-14 * np.trace(covariance) / n * np.eye(n))
+    root = _root(noise.jitter, noise.scatter, block)
     return np.asarray(np.linalg.inv(root), dtype=np.float64)

@@ -31,10 +31,13 @@ def covariance_of(fit: Fit) -> Vector:
     Args:
         fit: The optimum.
     """
-    size = np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-300)
+    # An unknown without effect has no scale.
+    size = np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-150)
     scaled = fit.jacobian / size
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
-    return np.asarray(inverse / np.outer(size, size), dtype=np.float64)
+    inverse: Vector = np.asarray(
+        np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True), dtype=np.float64
+    )
+    return inverse / np.outer(size, size)
 
 
 def degrees(fit: Fit) -> int:
@@ -42,9 +45,7 @@ def degrees(fit: Fit) -> int:
     return max(len(fit.rest) - int(np.linalg.matrix_rank(fit.jacobian)), 1)
 
 
-def profile_ends(
-    shooting: Shooting, fit: Fit, k: int, inflation: float
-) -> tuple[float, float]:
+def profile_ends(shooting: Shooting, fit: Fit, k: int, inflation: float) -> tuple[float, float]:
     """Return the ends of the 95 % interval of an unknown.
 
     Args:

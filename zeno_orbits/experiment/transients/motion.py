@@ -256,4 +256,3 @@ def moved(
         # Trial values may be inadmissible: the start inside a stop, or a motion that diverges.
         return None
     return Motion(graph=graph, execution=execution, chosen=tuple(chosen))
-

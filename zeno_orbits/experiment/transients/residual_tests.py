@@ -4,7 +4,7 @@ The score test asks whether a deviation of the restitution at single impacts wou
 With the derivative `D` of the residuals with respect to these deviations, projected off the
 Jacobian of the fit,
 
-.. math:: F = \frac{|P_D r|^2 / \operatorname{rank} D}{|r - P_D r|^2 / (n - p - \operatorname{rank} D)}
+.. math:: F = \frac{|P_D r|^2 / q}{|r - P_D r|^2 / (n - p - q)}, \qquad q = \operatorname{rank} D
 
 has an F distribution if the law is right. Neighbouring residuals that are alike are found by the
 ratio of von Neumann, :math:`\sum (r_{i+1} - r_i)^2 / \sum r_i^2`, which is 2 for white residuals.
@@ -103,12 +103,12 @@ def _channels(shooting: Shooting, fit: Fit) -> dict[tuple[int, int], Vector]:
     at = 0
     for k, trial in enumerate(shooting.trials):
         n = int(trial.seen.sum())
-        rows = np.full(trial.seen.shape, np.nan)
+        rows: Vector = np.full((len(trial.time), trial.values.shape[1]), np.nan)
         rows[trial.seen] = fit.rest[at : at + n]
         at += n + trial.n_events
         for s in range(rows.shape[1]):
-            own = rows[:, s]
-            found[k, s] = own[np.isfinite(own)]
+            channel = rows[:, s]
+            found[k, s] = channel[np.isfinite(channel)]
     return found
 
 
@@ -148,9 +148,7 @@ def _inflation(channels: list[Vector]) -> float:
 _Probabilities = dict[str, float]
 
 
-def _laws(
-    shooting: Shooting, fit: Fit
-) -> tuple[_Probabilities, _Probabilities, _Probabilities]:
+def _laws(shooting: Shooting, fit: Fit) -> tuple[_Probabilities, _Probabilities, _Probabilities]:
     """Return the probabilities of the scores by stop.
 
     Returns:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import GraphDynamics
@@ -109,9 +110,7 @@ def _fall(smooth: Vector, i: int, size: float) -> float:
     return float(max(abs(after), abs(smooth[i] - smooth[i - 1]), 0.01 * size))
 
 
-def _refined(
-    time: Vector, gap: Vector, near: list[int], j: int, width: int, step: float
-) -> float:
+def _refined(time: Vector, gap: Vector, near: list[int], j: int, width: int, step: float) -> float:
     """Return the time of a minimum, by one-sided parabolas before and after it."""
     i = near[j]
     a = near[j - 1] if j else 0
@@ -130,7 +129,7 @@ def _refined(
     return at + (float(real[np.argmin(np.abs(real))]) if len(real) else 0.0)
 
 
-def beside_impacts(time: Vector, impacts: Vector, step: float) -> Vector:
+def beside_impacts(time: Vector, impacts: Vector, step: float) -> NDArray[np.bool_]:
     """Return the mask of samples beside seen impacts, where a velocity shows only which side it is.
 
     The mask reaches 1.5 sampling times before and 2 after an impact, and from the last flight of
@@ -151,7 +150,7 @@ def beside_impacts(time: Vector, impacts: Vector, step: float) -> Vector:
             ratio = min(flights[k + 1] / flights[k], 0.95)
             left = flights[k + 1] * ratio / (1.0 - ratio)
             masked |= (time > impacts[last]) & (time < impacts[last] + 1.3 * left)
-    return np.asarray(masked)
+    return np.asarray(masked, dtype=np.bool_)
 
 
 def rest_begins(time: Vector, values: Vector) -> float | None:

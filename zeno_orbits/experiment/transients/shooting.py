@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.identification.instruments import Instruments
@@ -78,10 +79,14 @@ class Shooting:
         return self.n_shared + sum(len(one.free) for one in self.trials)
 
     @property
-    def is_log(self) -> Vector:
+    def is_log(self) -> NDArray[np.bool_]:
         """Mask of the shared unknowns that vary by their logarithm, ``(k,)``."""
         own = [not readings for readings in self.unknowns.readings]
-        return np.array(own, dtype=np.bool_) & (self.unknowns.lower > 0.0) & (self.unknowns.start > 0.0)
+        return (
+            np.array(own, dtype=np.bool_)
+            & (self.unknowns.lower > 0.0)
+            & (self.unknowns.start > 0.0)
+        )
 
     @property
     def bounds(self) -> tuple[Vector, Vector]:
@@ -101,7 +106,9 @@ class Shooting:
         at, own = self.unknowns, z[: self.n_shared]
         with np.errstate(over="ignore"):
             return np.where(
-                self.is_log, at.start * np.exp(np.where(self.is_log, own, 0.0)), at.start + at.scale * own
+                self.is_log,
+                at.start * np.exp(np.where(self.is_log, own, 0.0)),
+                at.start + at.scale * own,
             )
 
     def slopes(self, z: Vector) -> Vector:
@@ -273,9 +280,7 @@ class Shooting:
 
     def reweighted(self, noise: Sequence[Vector], whitening: Sequence[Vector]) -> Shooting:
         """Return the problem with other errors of samples and events."""
-        trials = tuple(
-            replace(one, noise=own) for one, own in zip(self.trials, noise, strict=True)
-        )
+        trials = tuple(replace(one, noise=own) for one, own in zip(self.trials, noise, strict=True))
         return replace(self, trials=trials, whitening=tuple(whitening))
 
 
@@ -306,9 +311,7 @@ def matched(series: EventSeries, model: EventTimes) -> list[int | None]:
     return found
 
 
-def placed(
-    found: Sequence[int | None], model: EventTimes, end: float
-) -> tuple[Vector, Vector]:
+def placed(found: Sequence[int | None], model: EventTimes, end: float) -> tuple[Vector, Vector]:
     """Return the times of matched events and their derivatives. A missing event is at the end.
 
     Args:

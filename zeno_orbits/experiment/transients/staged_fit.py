@@ -22,6 +22,8 @@ _STEPS, _LAST_STEPS = 10, 40
 _STARTS = 6
 _AROUND = 0.6
 """Largest change of the logarithm of a parameter at a further start, a factor of 1.8."""
+_QUIET = 1.3
+"""Mean square of residuals in units of the noise that no wrong optimum has."""
 _SAME = 1e-3
 """Relative difference of sums of squares of starts that agree, next to 3.84 noise units."""
 _DIFFERENCE = 3.84
@@ -197,7 +199,7 @@ def _starts(shooting: Shooting, z: Vector) -> Iterator[Vector]:
 def best_fit(shooting: Shooting, z: Vector, on_progress: Progress) -> Fit | None:
     """Return the best optimum of up to six starts, ``None`` if none can be simulated.
 
-    Two starts that agree are enough.
+    Two starts that agree are enough, and one whose residuals are as small as the noise of samples.
 
     Args:
         shooting: The trials.
@@ -213,11 +215,20 @@ def best_fit(shooting: Shooting, z: Vector, on_progress: Progress) -> Fit | None
         except LostStartError:
             continue
         best = min(found, key=lambda one: one.cost)
+        if _is_noise(shooting, best):
+            break
         if sum(_as_good(one, best) for one in found) >= 2:
             break
     if not found:
         return None
     return _best_of(found, shooting, tried)
+
+
+def _is_noise(shooting: Shooting, best: Fit) -> bool:
+    """Return True if only samples are fitted, and their residuals are no larger than the noise."""
+    freedom = len(best.rest) - len(best.z)
+    only_samples = not any(one.n_events for one in shooting.trials)
+    return only_samples and freedom > 0 and best.cost < _QUIET * freedom
 
 
 def _best_of(found: Sequence[Fit], shooting: Shooting, tried: int) -> Fit:

@@ -6,6 +6,7 @@ flights are those between the impacts of the fitted motion, counted from 0 befor
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.work import ByValue, Columns, Progress, TableRepr, silent
 
 _NEAR = 0.5
-"""Part of the shorter neighbouring flight within which a recorded impact belongs to a fitted one."""
+"""Part of the shorter flight beside a fitted impact within which a recorded one belongs to it."""
 _FEWEST = 3
 """Samples of a flight that has a row."""
 
@@ -243,7 +244,7 @@ def flight_deviations(trial: FittedTrial) -> Iterator[FlightDeviation]:
     if not len(trial.time):
         return
     edges = [float(trial.time[0]), *trial.impacts.tolist(), float(trial.time[-1])]
-    for k, (begin, end) in enumerate(zip(edges, edges[1:], strict=False)):
+    for k, (begin, end) in enumerate(itertools.pairwise(edges)):
         inside = (trial.time >= begin) & (trial.time <= end)
         for s, name in enumerate(trial.names):
             rows = inside & (trial.seen[:, s] > 0.0)

@@ -333,9 +333,7 @@ def _with_seen_restitution(
     inside = box.lower + _EDGE * (box.upper - box.lower) < value
     if not inside or value > box.upper - _EDGE * (box.upper - box.lower):
         return begin
-    return problem.values(
-        gains=begin.gains, parameters={**begin.parameters, "restitution": value}
-    )
+    return problem.values(gains=begin.gains, parameters={**begin.parameters, "restitution": value})
 
 
 def _seen_ratios(trial: Trial) -> list[float]:
@@ -389,7 +387,7 @@ def _masked(shooting: Shooting, found: Fit) -> tuple[Shooting, Fit]:
                 return shooting, found
             for stop in shooting.graph.stop_names:
                 own = [one for one in at.motion.execution.impacts if one.stop == stop]
-                trial = trial.without(np.array([one.time for one in own]) + at.offset)  # noqa: PLW2901
+                trial = trial.without(np.array([one.time for one in own]) + at.offset)
             trials.append(trial)
         shooting = replace(shooting, trials=tuple(trials))
         found = refitted(shooting, found)
@@ -415,9 +413,7 @@ def _reweighted(
             return shooting, found, None
         shooting = shooting.reweighted(own, whitening)
         again = fitted(shooting, found.z)
-        found = replace(
-            again, agreed=found.agreed, starts=found.starts, others=found.others
-        )
+        found = replace(again, agreed=found.agreed, starts=found.starts, others=found.others)
     return shooting, found, events
 
 
@@ -437,10 +433,7 @@ def _channel_noise(shooting: Shooting, z: Vector) -> list[Vector]:
     }
     return [
         np.array(
-            [
-                max(sizes[name], 1e-3 * one.noise[s])
-                for s, name in enumerate(one.measured.names)
-            ]
+            [max(sizes[name], 1e-3 * one.noise[s]) for s, name in enumerate(one.measured.names)]
         )
         for one in shooting.trials
     ]
@@ -465,9 +458,7 @@ def _described(
     scale = math.sqrt(found.cost / degrees(found))
     covariance = covariance_of(found)[:k, :k]
     unseen = _unseen(shooting, found, labels, scale * inflation)
-    hidden = {
-        name for one in unseen for name, part in one.direction.items() if abs(part) > _HIDDEN
-    }
+    hidden = {name for one in unseen for name, part in one.direction.items() if abs(part) > _HIDDEN}
     shared: list[SharedValue] = []
     for j, label in enumerate(labels):
         on_progress("computing the intervals", j / max(len(labels), 1))
@@ -674,10 +665,12 @@ def _remarks(
     for k, label in enumerate(labels):
         if min(found.z[k] - low[k], high[k] - found.z[k]) < _EDGE * (high[k] - low[k]):
             remarks.append(f"`{label}` reached an end of its range")
-    if found.starts > 1 and found.agreed < 2:
+    if found.starts > 2 and found.agreed < 2:
         remarks.append(f"only one of {found.starts} starts led to this optimum")
     if not found.converged:
-        remarks.append("the fit did not converge: better values may exist, and none has an interval")
+        remarks.append(
+            "the fit did not converge: better values may exist, and none has an interval"
+        )
     if tests.has_structure and tests.inflation > 1.0:
         remarks.append(
             f"intervals are {tests.inflation:.2g} times as wide as for independent residuals, and "

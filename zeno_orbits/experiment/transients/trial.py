@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -389,7 +390,7 @@ def _horizons(time: Vector, impacts: Vector) -> tuple[float, ...]:
         return (*(end * k / _EQUAL for k in range(1, _EQUAL)), math.inf)
     edges = [*impacts.tolist(), end]
     found = [0.97 * edges[0]]
-    found += [a + 0.6 * (b - a) for a, b in zip(edges, edges[1:], strict=False)]
+    found += [a + 0.6 * (b - a) for a, b in itertools.pairwise(edges)]
     last = found[-1]
     found += [part * end for part in (0.6, 0.8) if part * end > last]
     step = float(np.median(np.diff(time)))

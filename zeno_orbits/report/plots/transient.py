@@ -47,7 +47,8 @@ def plot_transient(
         raise InputError("Argument `found` has neither signals nor event times to draw.")
     panels = panels_of(width, n, height=1.5, columns=2, axes=axes)
     for place, (one, k) in enumerate(signals):
-        _draw_signal(*panels.axes[2 * place : 2 * place + 2], one, k)
+        left, right = panels.axes[2 * place : 2 * place + 2]
+        _draw_signal(left, right, one, k)
     for ax, one in zip(panels.axes[2 * len(signals) :], events, strict=True):
         ax.plot(one.event_times, _MILLI * one.event_rests, "k.", ms=4)
         ax.axhline(0.0, color="#777777", lw=0.6)

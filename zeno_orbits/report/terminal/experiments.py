@@ -246,9 +246,7 @@ def _known(value: float, form: str, otherwise: str = "-") -> str:
     return f"{value:{form}}" if math.isfinite(value) else otherwise
 
 
-def print_identification(
-    found: Identification, recording_remarks: Sequence[str] = ()
-) -> None:
+def print_identification(found: Identification, recording_remarks: Sequence[str] = ()) -> None:
     """Print parameters that were fitted to recordings.
 
     Args:
@@ -310,7 +308,9 @@ def _transient_lines(found: TransientFit) -> list[str]:
     return lines
 
 
-def _errors_of(trials: Sequence[FittedTrial]) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+def _errors_of(
+    trials: Sequence[FittedTrial],
+) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
     """Return the missed and the false events of trials."""
     return [one.missed for one in trials], [one.false for one in trials]
 
