@@ -351,7 +351,7 @@ def drops(table: Path) -> int:
             "bouncing_ball",
             [_events(np.unique(np.array(times))) for times in rows.values()],
             ["restitution"],
-            free=["height"],
+            initial=["height"],
             on_progress=silent,
         )
         detail, one = found.transient, found.fitted[0]

@@ -30,6 +30,12 @@ def folder(tmp_path: Path, orbit: Orbit, recorded: bytes, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path)
     write_orbit(orbit, tmp_path / "orbit.json")
     (tmp_path / "data.csv").write_bytes(recorded)
+    for name, height in (("drop.csv", 0.5), ("drop2.csv", 0.7)):
+        answer = ask(
+            *("simulate", "bouncing_ball", "--until", "3", "--rate", "100", "--noise", "2e-3"),
+            *("--start", f"height={height}", "-o", name),
+        )
+        assert answer.code == YES, answer.err
     return tmp_path
 
 
@@ -48,9 +54,12 @@ def test_the_examples_of_compare_run(folder: Path) -> None:
         assert answer.code == YES, answer.err
         # A narrow table breaks the heading: `simulated` stands below `recording,`.
         headings = " ".join(answer.out.split("first impact")[0].split())
-        assert "--json" in example or ("recording," in headings and "simulated" in headings)
+        is_orbit = "orbit.json" in example and "--json" not in example
+        assert not is_orbit or ("recording," in headings and "simulated" in headings)
+        if "--json" in example:
+            data = json.loads(answer.out)
     assert (folder / "compared.png").stat().st_size > 50_000
-    data = json.loads(answer.out)
+    assert (folder / "drop.png").stat().st_size > 20_000
     # From 5 s on the motion still settles a little.
     assert data["metrics"]["period"]["data"] == pytest.approx(1.81371293904, abs=3e-3)
 
@@ -134,3 +143,55 @@ def test_misuse_is_one_line(folder: Path, arguments: tuple[str, ...], reason: st
     assert answer.code == MISUSE
     assert reason in answer.err
     assert answer.err.count("\n") == 1
+
+
+def test_a_drop_is_identified_from_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ("--until", "1.6", "--rate", "100", "--noise", "2e-3", "--set", "restitution=0.6")
+    assert ask("simulate", "bouncing_ball", *words, "-o", "drop.csv").code == YES
+    fit = ("identify", "bouncing_ball", "drop.csv", "--fit", "restitution")
+    answer = ask(*fit, "-o", "fitted.json", "--plot", "drop.png")
+    assert answer.code == YES, answer.err
+    assert answer.out.startswith("Model: no structure is left")
+    data = json.loads((tmp_path / "fitted.json").read_text())
+    low, high = data["fitted"]["restitution"]["interval"]
+    assert low < 0.6 < high
+    assert high - low < 0.01
+    assert data["period"] is None
+    assert (tmp_path / "drop.png").stat().st_size > 20_000
+    compare = ("compare", "bouncing_ball", "drop.csv", "--set")
+    assert ask(*compare, "restitution=0.6").code == YES
+    answer = ask(*compare, "restitution=0.5", "--json")
+    assert answer.code == NO
+    assert json.loads(answer.out)["structure_left"] is True
+    (tmp_path / "heard.csv").write_text("impact [s]\n1\n1.4\n1.68\n1.876\n", encoding="utf-8")
+    answer = ask("read", "heard.csv")
+    assert answer.code == YES
+    assert "times of events" in answer.out
+    answer = ask(*fit[:2], "heard.csv", "--fit", "restitution", "--initial", "height")
+    assert answer.code == YES, answer.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("--transient", "--orbit", "x.json"), "must go without --transient"),
+        (("--initial", "hight"), "Did you mean `height`?"),
+        (("--initial", "height,"), "must be NAME,NAME"),
+        (("--start", "hight=1"), "Did you mean `height`?"),
+        (("--trial", "none.csv"), "cannot be read"),
+        (("--plot", "x.gif"), "must end in .png"),
+    ],
+)
+def test_wrong_options_of_transients_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], reason: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ("--until", "1.6", "--rate", "100")
+    assert ask("simulate", "bouncing_ball", *words, "-o", "drop.csv").code == YES
+    answer = ask("identify", "bouncing_ball", "drop.csv", "--fit", "restitution", *arguments)
+    assert answer.code == MISUSE
+    assert reason in answer.err
+    assert not list(tmp_path.glob("x.*"))

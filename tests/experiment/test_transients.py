@@ -174,7 +174,7 @@ def test_a_release_at_an_unknown_time_is_found() -> None:
         track(TIMES, noisy(clean, 0.002, 5)),
         ["restitution"],
         start={"height": 0.5, "speed": 0.0},
-        free=["offset"],
+        initial=["offset"],
         on_progress=silent,
     )
     assert found.transient is not None
@@ -204,7 +204,7 @@ def test_a_bounce_that_was_not_heard_is_named(missed: int) -> None:
         "bouncing_ball",
         heard(np.delete(times, missed)),
         ["restitution"],
-        free=["height"],
+        initial=["height"],
         on_progress=silent,
     )
     assert found.transient is not None
@@ -238,7 +238,7 @@ def test_events_of_scattering_impacts_give_the_restitution_and_its_scatter() -> 
         "bouncing_ball",
         [heard(one) for one in drops],
         ["restitution"],
-        free=["height"],
+        initial=["height"],
         on_progress=silent,
     )
     one = found.fitted[0]
@@ -259,7 +259,7 @@ def test_edges_of_a_contact_channel_are_events() -> None:
         track(times, closed.astype(np.float64), "contact", "1"),
         ["restitution"],
         transient=True,
-        free=["height"],
+        initial=["height"],
         on_progress=silent,
     )
     assert abs(found.fitted[0].value - 0.7) < 4 * found.fitted[0].error < 0.02
@@ -331,8 +331,8 @@ def test_settled_recordings_are_still_compared_with_orbits() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"free": ["hight"]}, "Did you mean `height`?"),
-        ({"free": ["clock"]}, "the problem has no clock"),
+        ({"initial": ["hight"]}, "Did you mean `height`?"),
+        ({"initial": ["clock"]}, "the problem has no clock"),
         ({"start": {"hight": 1.0}}, "Did you mean `height`?"),
         ({"transient": False, "start": {"height": 1.0}}, "Argument `start` needs transients"),
     ],

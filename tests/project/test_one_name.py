@@ -47,7 +47,7 @@ SAME = {
     "scatter": ["scatter"],
     "work-precision": ["work_precision"],
     "rig": ["simulate_rig", "simulate_experiment", "simulate_periods"],
-    "compare": ["compare"],
+    "compare": ["compare", "compare_transient"],
     "identify": ["identify"],
     "report": ["report_page"],
     "reduced-models": ["reduced_model_errors"],

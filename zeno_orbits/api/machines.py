@@ -131,7 +131,7 @@ def identify(
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
-    free: Sequence[str] = (),
+    initial: Sequence[str] = (),
     transient: bool | None = None,
     t_start: float | None = None,
     t_end: float | None = None,
@@ -156,7 +156,7 @@ def identify(
         parameters: Parameters that differ from their defaults.
         start: Known initial values of transients. The other recorded states begin near their first
             samples, and their rates near the slopes there.
-        free: Further initial values of transients to determine: states that are not recorded,
+        initial: Further initial values of transients to determine: states that are not recorded,
             ``clock`` for the phase of the clock, ``offset`` for the time of the start.
         transient: Whether transients are fitted. The default is to decide by the recordings.
         t_start: First time of the recordings that counts [s].
@@ -174,7 +174,7 @@ def identify(
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
     trials = _trials(known, recording, t_start, t_end, on_progress)
-    if not _are_transients(known, trials, transient, start, free):
+    if not _are_transients(known, trials, transient, start, initial):
         unknowns = _unknowns(known, values, fit)
         return fit_parameters(known, values, trials[0][1], unknowns, on_progress=on_progress)
     return fit_transient_parameters(
@@ -183,7 +183,7 @@ def identify(
         trials,
         _unknowns(known, values, fit, transient=True),
         start=named_numbers("start", start),
-        free=free,
+        free=initial,
         on_progress=on_progress,
     )
 
@@ -220,7 +220,7 @@ def _are_transients(
     trials: Sequence[tuple[str, Recording]],
     transient: bool | None,
     start: Numbers | None,
-    free: Sequence[str],
+    initial: Sequence[str],
 ) -> bool:
     """Return True if transients are to be fitted.
 
@@ -229,7 +229,7 @@ def _are_transients(
     """
     from zeno_orbits.experiment import measurable, transient_reason
 
-    asked = "start" if start else "free" if free else "recording" if len(trials) > 1 else ""
+    asked = "start" if start else "initial" if initial else "recording" if len(trials) > 1 else ""
     if transient is False and asked:
         wanted = "needs transients: omit `transient`, or set it to True"
         raise InputError(f"Argument `{asked}` {wanted}.")
@@ -246,7 +246,7 @@ def compare_transient(
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
-    free: Sequence[str] = (),
+    initial: Sequence[str] = (),
     t_start: float | None = None,
     t_end: float | None = None,
     on_progress: Progress = silent,
@@ -261,7 +261,7 @@ def compare_transient(
         gains: Gains that differ from their defaults.
         parameters: Parameters that differ from their defaults.
         start: Known initial values, as for `identify`.
-        free: Further initial values to determine, as for `identify`.
+        initial: Further initial values to determine, as for `identify`.
         t_start: First time of the recordings that counts [s].
         t_end: Last time of the recordings that counts [s].
         on_progress: Called with the stage and the part of it that is done.
@@ -280,7 +280,7 @@ def compare_transient(
         values,
         trials,
         start=named_numbers("start", start),
-        free=free,
+        free=initial,
         on_progress=on_progress,
     )
 

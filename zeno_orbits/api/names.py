@@ -83,7 +83,7 @@ NAMES = {
         Name(name="t_start", form="T", meaning="earlier data of a recording are ignored [s]"),
         Name(name="t_end", form="T", meaning="later data of a recording are ignored [s]"),
         Name(
-            name="free",
+            name="initial",
             form="NAME,...",
             meaning="further initial values of a transient to determine: states, `clock`, `offset`",
         ),

@@ -26,8 +26,8 @@ def plot(
 
     Args:
         result: An execution, orbit, search result, shooting result, certificate, multipliers,
-            family, continuation, map, work-precision study or comparison. An orbit is simulated
-            over one period.
+            family, continuation, map, work-precision study, comparison or fit of transients. An
+            orbit is simulated over one period.
         problem: Problem of the result, if the result does not contain it.
         ax: Axes to draw into, for a picture of one panel.
         axes: Axes to draw into, as many as the picture has panels.

@@ -36,6 +36,7 @@ GROUPS = {
         "--unit",
         "--zero",
         "--frame-rate",
+        *("--trial", "--initial", "--transient"),
     ),
     "machine": ("--part", "--only", "--without", "--exact-pwm", "--cycles"),
     "objective": ("--objective", "--uncertain", "--bounds", "--shape", "--allow-unstable", "--fit"),

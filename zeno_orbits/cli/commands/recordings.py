@@ -156,15 +156,15 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="recordings of further trials of a transient, with the same parameters",
     )
-    parser.add_argument(
-        "--start",
-        type=read_named_number,
+    add_shared(
+        parser,
+        "start",
+        " that are not recorded (repeatable); it is known, and the initial values of other "
+        "recorded states and their rates are determined",
         action=Named,
-        metavar="STATE=VALUE",
-        help="known initial value of a transient (repeatable); other recorded states and their "
-        "rates are determined",
+        type=read_named_number,
     )
-    add_shared(parser, "free", type=_read_names, default=())
+    add_shared(parser, "initial", type=_read_names, default=())
 
 
 def _read_names(text: str) -> tuple[str, ...]:
@@ -187,8 +187,8 @@ def _run_compare(options: argparse.Namespace) -> int:
     orbit_path = Path(options.problem)
     require_outputs(options, {"picture": PICTURE}, reads=[orbit_path, *files])
     for name, given in (("--set", options.set), ("--start", options.start)):
-        if given or options.trials or options.free:
-            asked = name if given else "--trial" if options.trials else "--free"
+        if given or options.trials or options.initial:
+            asked = name if given else "--trial" if options.trials else "--initial"
             raise InputError(f"Argument `{asked}` needs a problem in place of `{orbit_path}`.")
     orbit = api.any_orbit(orbit_path)
     problem = api.problem_of(orbit, options.problem_file)
@@ -228,7 +228,7 @@ def _run_compare_transient(options: argparse.Namespace) -> int:
             gains=gains,
             parameters=parameters,
             start=options.start,
-            free=options.free,
+            initial=options.initial,
             t_start=options.t_start,
             t_end=options.t_end,
             on_progress=progress,
@@ -319,7 +319,7 @@ def _run_identify(options: argparse.Namespace) -> int:
         options.problem, options.set, options.problem_file
     )
     if options.transient and options.orbit is not None:
-        raise InputError("Argument `--orbit` needs a settled orbit: omit --transient.")
+        raise InputError("Argument `--orbit` must go without --transient, which shows no orbit.")
     problem.values(gains=gains, parameters=parameters)
     files = [options.data, *options.trials]
     outputs = {"output": JSON, "orbit": JSON, "picture": PICTURE}
@@ -337,7 +337,7 @@ def _run_identify(options: argparse.Namespace) -> int:
             gains=gains,
             parameters=parameters,
             start=options.start,
-            free=options.free,
+            initial=options.initial,
             # An orbit to write is one to fit.
             transient=True if options.transient else None if options.orbit is None else False,
             on_progress=progress,

@@ -15,6 +15,7 @@ from zeno_orbits.errors import DataFileError
 from zeno_orbits.experiment.recordings.columns import Column, ColumnNotes, columns_of
 from zeno_orbits.experiment.recordings.heads import read_head
 from zeno_orbits.experiment.recordings.recording import Recording, read_recording
+from zeno_orbits.experiment.transients.event_record import event_kind_of, read_event_file
 from zeno_orbits.work import checked
 
 
@@ -70,6 +71,8 @@ class RecordingDescription:
             return "text, left out" if column.holds_text else column.trouble
         if column.is_time:
             return "time"
+        if event_kind_of(column.name) is not None:
+            return "times of events"
         if self.sought and column.name not in self.sought:
             return "not a signal of the problem"
         return "signal"
@@ -116,6 +119,9 @@ def describe_recording(
         InputError: If the notes name a column that the file does not have.
     """
     path, told, known = Path(path), columns or ColumnNotes(), units or {}
+    events = None if columns is not None and columns.names else read_event_file(path)
+    if events is not None:
+        return _of_events(path, events, tuple(known))
     head = read_head(path, untitled=bool(told.names))
     found = _once(columns_of(head, known, told), head.line)
     usable = [one.name for one in found if not (one.trouble or one.is_time)]
@@ -129,6 +135,16 @@ def describe_recording(
             trouble = error.reason
     return RecordingDescription(
         path=path, columns=found, recording=recording, trouble=trouble, sought=tuple(known)
+    )
+
+
+def _of_events(path: Path, events: Recording, sought: tuple[str, ...]) -> RecordingDescription:
+    """Return the description of a file of event times."""
+    columns = tuple(
+        Column(title=f"{one.name} [s]", name=one.name, unit=one.unit) for one in events.signals
+    )
+    return RecordingDescription(
+        path=path, columns=columns, recording=events, trouble="", sought=sought
     )
 
 

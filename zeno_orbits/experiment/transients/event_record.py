@@ -78,7 +78,7 @@ def read_event_file(path: Path | str) -> Recording | None:
         return lone
     head = read_head(path)
     titles = [title.partition("[")[0].partition("(")[0].strip() for title in head.columns]
-    chosen = [k for k, title in enumerate(titles) if _kind_of(title) is not None]
+    chosen = [k for k, title in enumerate(titles) if event_kind_of(title) is not None]
     if not chosen or any(title.lower() in TIMES for title in titles):
         return None
     columns = columns_of(head, {}, ColumnNotes())
@@ -112,7 +112,7 @@ def _lone_column(path: Path) -> Recording | None:
         return None
     title = rows[0][1]
     name = title.partition("[")[0].partition("(")[0].strip()
-    if _kind_of(name) is None and name.lower() not in TIMES:
+    if event_kind_of(name) is None and name.lower() not in TIMES:
         return None
     unit = title[len(name) :].strip(" []()")
     try:
@@ -128,7 +128,7 @@ def _lone_column(path: Path) -> Recording | None:
             told = f"line {number} has `{short(text)}` where a time is expected"
             raise DataFileError(path, f"{told}: correct or delete the line")
         values.append(value * size)
-    return _of_times(path, {name if _kind_of(name) else "impact": np.array(values)})
+    return _of_times(path, {name if event_kind_of(name) else "impact": np.array(values)})
 
 
 def _of_times(path: Path, columns: Mapping[str, Vector]) -> Recording:
@@ -154,10 +154,11 @@ def _of_times(path: Path, columns: Mapping[str, Vector]) -> Recording:
 
 def has_event_times(recording: Recording) -> bool:
     """Return True if a recording has a column of event times."""
-    return any(_kind_of(name) is not None for name in recording.names)
+    return any(event_kind_of(name) is not None for name in recording.names)
 
 
-def _kind_of(name: str) -> EventKind | None:
+def event_kind_of(name: str) -> EventKind | None:
+    """Return the kind of events whose times a column holds, `None` for another column."""
     return _KINDS.get(name.split(" ")[0].lower()) if name else None
 
 
@@ -173,7 +174,7 @@ def event_series(recording: Recording, stops: Sequence[str]) -> tuple[EventSerie
     """
     found: list[EventSeries] = []
     for signal in recording.signals:
-        kind = _kind_of(signal.name)
+        kind = event_kind_of(signal.name)
         if kind is None:
             continue
         stop = _stop_of(signal.name, stops)

@@ -150,9 +150,10 @@ def prepared_trial(
     if len(recording.time) > _MOST_SAMPLES and names:
         wanted = f"has {len(recording.time)} samples and a transient at most {_MOST_SAMPLES}"
         raise InputError(f"Argument `recording` {wanted}: crop it with --t-start and --t-end.")
-    begin = np.array(problem.initial_state(None, values), dtype=np.float64)
-    for name, value in start.items():
-        begin[problem.state_names.index(name)] = value
+    begin = np.array(problem.initial_state(start or None, values), dtype=np.float64)
+    clock = list(problem.clock)
+    if clock and not begin[clock].any():
+        begin[clock] = np.array(problem.initial_state(None, values))[clock]
     if not names:
         return _of_events(problem, graph, begin, series, label, free)
     return _of_samples(problem, graph, begin, recording, names, series, label, start, free)
@@ -165,9 +166,9 @@ def _require_names(problem: Problem, start: Mapping[str, float], free: Collectio
     for name in free:
         known = (*problem.state_names, CLOCK, OFFSET)
         if name not in known:
-            raise InputError(f"Argument `free`: {not_known(name, known)}")
+            raise InputError(f"Argument `initial`: {not_known(name, known)}")
         if name == CLOCK and not problem.clock:
-            raise InputError("Argument `free`: the problem has no clock.")
+            raise InputError("Argument `initial`: the problem has no clock.")
 
 
 def _of_events(

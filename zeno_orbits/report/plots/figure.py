@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from zeno_orbits.continuation import Continuation, Family
 from zeno_orbits.errors import InputError, shown
-from zeno_orbits.experiment import Comparison
+from zeno_orbits.experiment import Comparison, TransientComparison, TransientFit
 from zeno_orbits.maps import ParameterMap
 from zeno_orbits.model import Problem, recorded_problem
 from zeno_orbits.orbits import Orbit, Stability
@@ -25,6 +25,7 @@ from zeno_orbits.report.plots.portraits import plot_portraits
 from zeno_orbits.report.plots.recording import plot_comparison
 from zeno_orbits.report.plots.style import FULL_WIDTH, keep_legible
 from zeno_orbits.report.plots.time_series import plot_states, plot_time_series
+from zeno_orbits.report.plots.transient import plot_transient
 from zeno_orbits.report.plots.work_precision import plot_trade
 from zeno_orbits.search import SearchResult, ShootingResult
 from zeno_orbits.simulation import Execution
@@ -47,7 +48,7 @@ def figure_of(
 
     Args:
         result: An execution, orbit, search result, closing, certificate, multipliers, family,
-            continuation, map, trade or comparison.
+            continuation, map, trade, comparison or fit of transients.
         problem: The problem of the result, by default the bundled problem with the result's problem
             name. An execution does not store a problem name. Without its problem it is drawn
             without units.
@@ -129,5 +130,9 @@ _PICTURES: dict[type, Callable[[Any, Problem | None, float, Sequence[Axes]], Fig
     WorkPrecision: lambda found, _, width, axes: plot_trade(found, width=width, axes=axes),
     Comparison: lambda found, problem, width, axes: plot_comparison(
         problem or found.problem, found, width=width, axes=axes
+    ),
+    TransientFit: lambda found, _, width, axes: plot_transient(found, width=width, axes=axes),
+    TransientComparison: lambda found, _, width, axes: plot_transient(
+        found.fit, width=width, axes=axes
     ),
 }
