@@ -52,6 +52,7 @@ REDUCED = {
     "shaken_tables": ("--tables", "2", "--searches", "0"),
     "special_points": ("--only", "3", "5", "--points", "40", "--marginal", "2", "--workers", "1"),
     "start_up": ("--runs", "1"),
+    "transients": ("coverage", "--count", "1", "--machines", "ball", "pendulum"),
     "event_verdicts": ("--yes", "3", "--no", "4"),
     "verdicts": ("--quick", "--workers", "1"),
     "warm_orbit": ("--runs", "9"),

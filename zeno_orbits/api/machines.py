@@ -169,11 +169,45 @@ def identify(
         UnfittableError: If the recording does not show such a motion, or no orbit exists at the
             initial parameter values.
     """
+    known = known_problem(problem)
+    return identify_trials(
+        known,
+        labelled_recordings(known, recording, t_start, t_end, on_progress),
+        fit,
+        values=known.values(gains=gains, parameters=parameters),
+        start=start,
+        initial=initial,
+        transient=transient,
+        on_progress=on_progress,
+    )
+
+
+def identify_trials(
+    problem: Problem,
+    trials: Sequence[tuple[str, Recording]],
+    fit: Fit,
+    *,
+    values: ParameterValues,
+    start: Numbers | None = None,
+    initial: Sequence[str] = (),
+    transient: bool | None = None,
+    on_progress: Progress = silent,
+) -> Identification:
+    """Return the result of `identify` for recordings that were read.
+
+    Args:
+        problem: The problem.
+        trials: Label and recording of each trial.
+        fit: As in `identify`.
+        values: Gains and parameters at the start.
+        start: As in `identify`.
+        initial: As in `identify`.
+        transient: As in `identify`.
+        on_progress: Called with the stage and the part of it that is done.
+    """
     from zeno_orbits.experiment import fit_parameters, fit_transient_parameters
 
-    known = known_problem(problem)
-    values = known.values(gains=gains, parameters=parameters)
-    trials = _trials(known, recording, t_start, t_end, on_progress)
+    known = problem
     if not _are_transients(known, trials, transient, start, initial):
         unknowns = _unknowns(known, values, fit)
         return fit_parameters(known, values, trials[0][1], unknowns, on_progress=on_progress)
@@ -188,14 +222,21 @@ def identify(
     )
 
 
-def _trials(
+def labelled_recordings(
     problem: Problem,
     recording: Recording | str | Path | Sequence[Recording | str | Path],
     t_start: float | None,
     t_end: float | None,
     on_progress: Progress,
 ) -> list[tuple[str, Recording]]:
-    """Return the trials with their labels: the names of their files, or their numbers.
+    """Return recordings with their labels: the names of their files, or their numbers.
+
+    Args:
+        problem: The problem.
+        recording: The recording or its file, or several.
+        t_start: First time that counts [s].
+        t_end: Last time that counts [s].
+        on_progress: Called with the stage.
 
     Raises:
         InputError: If there are none.
@@ -274,7 +315,7 @@ def compare_transient(
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
-    trials = _trials(known, recording, t_start, t_end, on_progress)
+    trials = labelled_recordings(known, recording, t_start, t_end, on_progress)
     return compare_transients(
         known,
         values,

@@ -320,22 +320,17 @@ def _run_identify(options: argparse.Namespace) -> int:
     )
     if options.transient and options.orbit is not None:
         raise InputError("Argument `--orbit` must go without --transient, which shows no orbit.")
-    problem.values(gains=gains, parameters=parameters)
     files = [options.data, *options.trials]
     outputs = {"output": JSON, "orbit": JSON, "picture": PICTURE}
     require_outputs(options, outputs, reads=files)
     with report.ProgressLine(options.interrupts.check) as progress:
-        trials = [
-            api.recording_for(problem, one, options.t_start, options.t_end, progress)
-            for one in files
-        ]
+        trials = api.labelled_recordings(problem, files, options.t_start, options.t_end, progress)
         fit = {"+".join(names): box for names, box in options.fit}
-        found = api.identify(
+        found = api.identify_trials(
             problem,
-            trials[0] if len(trials) == 1 else trials,
+            trials,
             fit,
-            gains=gains,
-            parameters=parameters,
+            values=problem.values(gains=gains, parameters=parameters),
             start=options.start,
             initial=options.initial,
             # An orbit to write is one to fit.
@@ -351,7 +346,7 @@ def _run_identify(options: argparse.Namespace) -> int:
     if options.json:
         print_json(found.as_json())
     else:
-        remarks = dict.fromkeys(word for one in trials for word in one.remarks)
+        remarks = dict.fromkeys(word for _, one in trials for word in one.remarks)
         report.print_identification(found, tuple(remarks))
         paths = (options.output, options.orbit, options.picture)
         say_written(options, [path for path in paths if path is not None])

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,7 +44,7 @@ class ResidualTests:
         alike: Probability of neighbouring residuals as alike as these, if they are white.
         law: Probability of a score as large as this by stop, if every impact has the same law.
         speed: The same by stop for one deviation in proportion to the impact speed.
-        left: The same as `law` by stop beside this deviation.
+        part: Part of the score of single restitutions that this deviation explains, by stop.
         inflation: Ratio of the errors to those for independent residuals.
     """
 
@@ -51,7 +52,7 @@ class ResidualTests:
     alike: float
     law: dict[str, float]
     speed: dict[str, float]
-    left: dict[str, float]
+    part: dict[str, float]
     inflation: float
 
     @property
@@ -86,13 +87,13 @@ def tested(shooting: Shooting, fit: Fit, noise: tuple[Vector, ...]) -> ResidualT
         squares += float(row @ row) * ratio**2
         count += len(row)
     lost = count / max(count - len(fit.z), 1)
-    law, speed, left = _laws(shooting, fit)
+    law, speed, part = _laws(shooting, fit)
     return ResidualTests(
         misfit=math.sqrt(squares / count * lost) if count else math.nan,
         alike=_alike(list(channels.values())),
         law=law,
         speed=speed,
-        left=left,
+        part=part,
         inflation=_inflation(list(channels.values())),
     )
 
@@ -145,33 +146,29 @@ def _inflation(channels: list[Vector]) -> float:
     return math.sqrt(max(total / weight, 1.0)) if weight else 1.0
 
 
-_Probabilities = dict[str, float]
+_ByStop = dict[str, float]
 
 
-def _laws(shooting: Shooting, fit: Fit) -> tuple[_Probabilities, _Probabilities, _Probabilities]:
-    """Return the probabilities of the scores by stop.
+def _laws(shooting: Shooting, fit: Fit) -> tuple[_ByStop, _ByStop, _ByStop]:
+    """Return the findings about the restitution by stop.
 
     Returns:
-        Those of one restitution per impact, of a deviation in proportion to the impact speed, and
-        of one restitution per impact beside that deviation.
+        The probability of the score of one restitution per impact, that of a deviation in
+        proportion to the impact speed, and the part of the former score that the latter explains.
     """
     basis, _ = np.linalg.qr(_scaled(fit.jacobian))
-    found: tuple[_Probabilities, _Probabilities, _Probabilities] = ({}, {}, {})
+    laws, speeds, parts = _ByStop(), _ByStop(), _ByStop()
     for stop in shooting.graph.stop_names:
-        columns, speeds = _deviation_rows(shooting, fit, stop)
+        columns, approach = _deviation_rows(shooting, fit, stop)
         if columns.shape[1] < 2:
             continue
-        along = (columns @ (speeds / np.max(np.abs(speeds))))[:, None]
-        wider, _ = np.linalg.qr(np.concatenate([basis, _scaled(along)], axis=1))
-        scores = (
-            _score(columns, basis, fit),
-            _score(along, basis, fit),
-            _score(columns, wider, fit),
-        )
-        for own, probability in zip(found, scores, strict=True):
-            if probability is not None:
-                own[stop] = probability
-    return found
+        along = (columns @ (approach / np.max(np.abs(approach))))[:, None]
+        every, slope = _explained(columns, basis, fit), _explained(along, basis, fit)
+        for own, score in ((laws, every), (speeds, slope)):
+            if score.probability is not None:
+                own[stop] = score.probability
+        parts[stop] = slope.power / max(every.power, slope.power, 1e-300)
+    return laws, speeds, parts
 
 
 def _scaled(rows: Vector) -> Vector:
@@ -179,7 +176,14 @@ def _scaled(rows: Vector) -> Vector:
     return rows[:, size > 0.0] / size[size > 0.0]
 
 
-def _score(columns: Vector, basis: Vector, fit: Fit) -> float | None:
+class _Score(NamedTuple):
+    """The squared residuals that deviations explain, and their probability if they are chance."""
+
+    power: float
+    probability: float | None
+
+
+def _explained(columns: Vector, basis: Vector, fit: Fit) -> _Score:
     from scipy.stats import f as fisher
 
     columns = _scaled(columns)
@@ -188,12 +192,12 @@ def _score(columns: Vector, basis: Vector, fit: Fit) -> float | None:
     vectors, sizes, _ = np.linalg.svd(left, full_matrices=False)
     rank = int(np.sum(sizes > 1e-6))
     freedom = len(rest) - basis.shape[1] - rank
-    if rank == 0 or freedom < 3:
-        return None
     along = vectors[:, :rank].T @ rest
     power = float(along @ along)
+    if rank == 0 or freedom < 3:
+        return _Score(power, None)
     other = max(float(rest @ rest) - power, 1e-300)
-    return float(fisher.sf(power / rank / (other / freedom), rank, freedom))
+    return _Score(power, float(fisher.sf(power / rank / (other / freedom), rank, freedom)))
 
 
 def _deviation_rows(shooting: Shooting, fit: Fit, stop: str) -> tuple[Vector, Vector]:
