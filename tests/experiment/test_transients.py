@@ -398,3 +398,45 @@ def test_machines_of_one_and_several_stops_are_found_from_20_per_cent_off(
 
 def sought_in(name: str, lower: float, upper: float) -> FitParameter:
     return FitParameter(names=(name,), lower=lower, upper=upper)
+
+
+@pytest.mark.parametrize(
+    ("recording", "message"),
+    [
+        (track(TIMES, 100 * heights(TIMES, (0.7, 0.0))), "signals' ranges off"),
+        (track(TIMES, -heights(TIMES, (0.7, 0.0))), "signals' ranges off"),
+        (track(TIMES, np.full(len(TIMES), 0.3)), "no signal of trial 1 changes"),
+        (track(TIMES, np.full(len(TIMES), np.nan)), "all samples of trial 1 are missing"),
+        (track(TIMES[:5], heights(TIMES[:5], (0.7, 0.0))), "fewer than 8 samples"),
+        (heard(bounces(9, 0.8)), "--initial NAME"),
+        (track(TIMES, TIMES, "impact left", "s"), "Did you mean `impact stop`?"),
+        (track(TIMES, TIMES, "impact", "m"), "in s, not in m"),
+    ],
+)
+def test_recordings_that_show_no_drop_are_refused(recording: zo.Recording, message: str) -> None:
+    with pytest.raises(zo.ZenoOrbitsError) as error:
+        zo.identify("bouncing_ball", recording, ["restitution"], transient=True, on_progress=silent)
+    assert message in str(error.value)
+
+
+def test_events_without_a_law_leave_structure() -> None:
+    random = np.random.default_rng(1)
+    for times in (np.sort(random.uniform(0.0, 5.0, 15)), 1.0 + 0.3 * np.arange(12)):
+        found = zo.identify(
+            "bouncing_ball", heard(times), ["restitution"], initial=["height"], on_progress=silent
+        )
+        assert structure_left(found)
+
+
+def test_as_many_unknowns_as_data_give_no_interval() -> None:
+    found = zo.identify(
+        "bouncing_ball",
+        heard(bounces(3, 0.7)),
+        ["restitution"],
+        initial=["height"],
+        on_progress=silent,
+    )
+    assert found.fitted[0].value == pytest.approx(0.7)
+    assert math.isinf(found.fitted[0].error)
+    assert found.transient is not None
+    assert found.transient.verdict.startswith("the model is not tested")

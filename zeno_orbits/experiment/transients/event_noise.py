@@ -13,7 +13,7 @@ are far from independent. The restricted likelihood accounts for the fitted unkn
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,11 +36,13 @@ class EventNoise:
         jitter: Standard deviation of the recorded times [s].
         scatter: Standard deviation of the restitution per impact, relative to its value.
         estimated: Whether the events are enough to estimate both.
+        longest: Longest interval between two events [s].
     """
 
     jitter: float
     scatter: float
     estimated: bool
+    longest: float
 
 
 def event_noise(shooting: Shooting, z: Vector) -> tuple[EventNoise, tuple[Vector, ...]] | None:
@@ -65,9 +67,9 @@ def event_noise(shooting: Shooting, z: Vector) -> tuple[EventNoise, tuple[Vector
     rank = int(np.linalg.matrix_rank(used / np.linalg.norm(used, axis=0))) if used.size else 0
     if len(rest) - rank < _LEAST:
         jitter = max(floor, 2e-3 * _longest(shooting))
-        noise = EventNoise(jitter=jitter, scatter=0.0, estimated=False)
+        noise = EventNoise(jitter=jitter, scatter=0.0, estimated=False, longest=_longest(shooting))
     else:
-        noise = _likely(rest, used, blocks, floor)
+        noise = replace(_likely(rest, used, blocks, floor), longest=_longest(shooting))
     return noise, tuple(_whitening(noise, block) for block in blocks)
 
 
@@ -162,7 +164,9 @@ def _likely(rest: Vector, rows: Vector, blocks: list[Vector], floor: float) -> E
         ),
         key=lambda one: one.fun,
     )
-    return EventNoise(jitter=math.exp(best.x[0]), scatter=math.exp(best.x[1]), estimated=True)
+    return EventNoise(
+        jitter=math.exp(best.x[0]), scatter=math.exp(best.x[1]), estimated=True, longest=1.0
+    )
 
 
 def _root(jitter: float, scatter: float, block: Vector) -> Vector:

@@ -30,6 +30,10 @@ _RESOLVED = 3.0
 """Sampling times of a flight that is resolved."""
 _RARE = 1e-3
 """Probability below which a test finds structure."""
+_LARGE_SCATTER, _LARGE_JITTER = 0.2, 0.02
+"""Scatter and jitter that no ball and no microphone has: the events follow another law."""
+_MANY = 0.4
+"""Missed and false events relative to the recorded ones, from which the events are other ones."""
 _LOUD = 1.25
 """Ratio of the residuals to the noise from which structure is left."""
 
@@ -46,6 +50,9 @@ class ResidualTests:
         speed: The same by stop for one deviation in proportion to the impact speed.
         part: Part of the score of single restitutions that this deviation explains, by stop.
         inflation: Ratio of the errors to those for independent residuals.
+        scatter: Scatter of the restitution per impact by event times, relative, or NaN.
+        jitter: Jitter of event times relative to their longest interval, or NaN.
+        odd: Missed and false events relative to the recorded ones.
     """
 
     misfit: float
@@ -54,6 +61,9 @@ class ResidualTests:
     speed: dict[str, float]
     part: dict[str, float]
     inflation: float
+    scatter: float = math.nan
+    jitter: float = math.nan
+    odd: float = 0.0
 
     @property
     def law_differs(self) -> tuple[str, ...]:
@@ -69,16 +79,27 @@ class ResidualTests:
     def has_structure(self) -> bool:
         """True if the model does not explain the recording."""
         tests = (*self.law_differs, *self.speed_matters)
-        return self.misfit > _LOUD or self.alike < _RARE or bool(tests)
+        is_loud = self.misfit > _LOUD or self.is_loose
+        return is_loud or self.alike < _RARE or bool(tests)
+
+    @property
+    def is_loose(self) -> bool:
+        """True if the event times hardly follow the model."""
+        is_large = self.scatter > _LARGE_SCATTER or self.jitter > _LARGE_JITTER
+        return is_large or self.odd > _MANY
 
 
-def tested(shooting: Shooting, fit: Fit, noise: tuple[Vector, ...]) -> ResidualTests:
+def tested(
+    shooting: Shooting, fit: Fit, noise: tuple[Vector, ...], scatter: float, jitter: float
+) -> ResidualTests:
     """Return the tests of the residuals of a fit.
 
     Args:
         shooting: The trials.
         fit: The optimum.
         noise: Noise of the channels of each trial by their third differences, ``(n_s,)``.
+        scatter: Scatter of the restitution by event times, or NaN.
+        jitter: Jitter of event times relative to their longest interval, or NaN.
     """
     channels = _channels(shooting, fit)
     squares, count = 0.0, 0
@@ -94,8 +115,19 @@ def tested(shooting: Shooting, fit: Fit, noise: tuple[Vector, ...]) -> ResidualT
         law=law,
         speed=speed,
         part=part,
+        scatter=scatter,
+        jitter=jitter,
+        odd=_odd(shooting),
         inflation=_inflation(list(channels.values())),
     )
+
+
+def _odd(shooting: Shooting) -> float:
+    """Return the number of missed and false events relative to the recorded ones."""
+    series = [one for trial in shooting.trials for one in trial.series]
+    false = sum(len(one.false) for one in series)
+    recorded = sum(len(one.times) for one in series) + false
+    return (sum(len(one.missed) for one in series) + false) / max(recorded, 1)
 
 
 def _channels(shooting: Shooting, fit: Fit) -> dict[tuple[int, int], Vector]:

@@ -240,9 +240,11 @@ def fit_transients(
     # With scatter of the restitution, late event times may be far from the most likely motion.
     after = min(after, _deviation(shooting, found.z))
     if sought and not after < _UNLIKE:
+        heard = not any(len(one.time) for one in shooting.trials)
+        remedy = "crop the recording with --t-start and --t-end"
         raise refusal(
             f"the nearest motion is {100 * after:.2g} % of the signals' ranges off: check the "
-            f"start values, or crop the recording with --t-start and --t-end"
+            f"start values, or {'determine the start by --initial NAME' if heard else remedy}"
         )
     return _described(shooting, found, noise, events, sought, begin, before, after, on_progress)
 
@@ -453,7 +455,11 @@ def _described(
     on_progress: Progress,
 ) -> TransientResult:
     """Return the result of a fit: intervals, undetermined combinations, and the verdict."""
-    tests = tested(shooting, found, noise)
+    is_known = events is not None and events.estimated
+    scatter = events.scatter if events is not None and is_known else math.nan
+    jitter = events.jitter / events.longest if events is not None and is_known else math.nan
+    tests = tested(shooting, found, noise, scatter, jitter)
+    determined = len(found.rest) > int(np.linalg.matrix_rank(found.jacobian))
     inflation = tests.inflation if tests.has_structure else 1.0
     labels = [one.label for one in sought]
     k = shooting.n_shared
@@ -464,7 +470,8 @@ def _described(
     shared: list[SharedValue] = []
     for j, label in enumerate(labels):
         on_progress("computing the intervals", j / max(len(labels), 1))
-        known = label not in hidden and found.converged
+        inside = determined and not _at_end(shooting, found, j)
+        known = label not in hidden and found.converged and inside
         shared.append(
             _shared(shooting, found, j, scale, covariance, inflation)
             if known
@@ -493,11 +500,11 @@ def _described(
         fit=TransientFit(
             trials=trials,
             tests=tests,
-            verdict=_verdict(tests, events, is_fitted=k > 0),
+            verdict=_verdict(tests, events, is_fitted=k > 0, determined=determined),
             starts=found.starts,
             agreed=found.agreed,
             jitter=math.nan if events is None else events.jitter,
-            scatter=math.nan if events is None or not events.estimated else events.scatter,
+            scatter=scatter,
         ),
         remarks=tuple(_remarks(shooting, found, labels, trials, tests, others)),
     )
@@ -615,8 +622,18 @@ def _n_seen(trial: Trial) -> int:
     return sum(len(row) for row in trial.impacts.values())
 
 
-def _verdict(tests: ResidualTests, events: EventNoise | None, *, is_fitted: bool) -> str:
+def _at_end(shooting: Shooting, found: Fit, k: int) -> bool:
+    """Return True if an unknown is at an end of its range."""
+    low, high = (float(row[k]) for row in shooting.bounds)
+    return min(found.z[k] - low, high - found.z[k]) < _EDGE * (high - low)
+
+
+def _verdict(
+    tests: ResidualTests, events: EventNoise | None, *, is_fitted: bool, determined: bool
+) -> str:
     """Return one sentence about the model, the most specific finding first."""
+    if not determined:
+        return "the model is not tested: there are no more data than unknowns"
     if tests.law_differs and not is_fitted:
         return (
             f"structure is left: other restitutions at the impacts would explain more "
@@ -624,6 +641,12 @@ def _verdict(tests: ResidualTests, events: EventNoise | None, *, is_fitted: bool
         )
     if tests.speed_matters or tests.law_differs:
         return _law_verdict(tests)
+    if tests.is_loose:
+        return (
+            f"structure is left: the events hardly follow the model, with {100 * tests.odd:.2g} % "
+            f"missed or false, a jitter of {100 * tests.jitter:.2g} % of the longest interval and "
+            f"a scatter of the restitution of {100 * tests.scatter:.2g} %"
+        )
     if tests.misfit > 1.25:
         return (
             f"structure is left: the residuals are {tests.misfit:.3g} times the noise, so the "
@@ -673,10 +696,13 @@ def _remarks(
     many = len(trials) > 1
     for one in trials:
         remarks += [f"{one.label}: {w}" if many else w for w in (*one.missed, *one.false)]
-    low, high = shooting.bounds
-    for k, label in enumerate(labels):
-        if min(found.z[k] - low[k], high[k] - found.z[k]) < _EDGE * (high[k] - low[k]):
-            remarks.append(f"`{label}` reached an end of its range")
+    remarks += [
+        f"`{label}` reached an end of its range, so it has no interval"
+        for k, label in enumerate(labels)
+        if _at_end(shooting, found, k)
+    ]
+    if len(found.rest) <= int(np.linalg.matrix_rank(found.jacobian)):
+        remarks.append("no value has an interval: there are no more data than unknowns")
     if found.starts > 2 and found.agreed < 2:
         remarks.append(f"only one of {found.starts} starts led to this optimum")
     if not found.converged:

@@ -240,6 +240,9 @@ def _of_samples(
     free: Collection[str],
 ) -> Trial:
     """Return a trial of samples, with event times beside them if there are any."""
+    names = tuple(name for name in names if np.isfinite(recording.signal(name).values).any())
+    if not names:
+        raise InputError(f"Argument `recording`: all samples of {label} are missing.")
     values = np.stack([recording.signal(name).values for name in names], axis=1)
     rows = np.isfinite(values).any(axis=1)
     time, values = recording.time[rows], values[rows]
@@ -263,10 +266,19 @@ def _of_samples(
     jumping = _jumping(problem, graph, measured, begin, graph.p)
     for own in (*impacts.values(), *heard):
         seen &= ~(beside_impacts(time, own, step)[:, None] & jumping[None, :])
-    noise = np.array([noise_of(row) for row in values.T])
+    moving = np.nanmax(values, axis=0) > np.nanmin(values, axis=0)
+    if not moving.any() and not any(len(one.times) for one in series):
+        raise InputError(f"Argument `recording`: no signal of {label} changes.")
+    seen &= moving[None, :]
+    noise = np.where(moving, [noise_of(row) for row in values.T], 1.0)
     first = float(every[0]) if len(every) else float(time[-1])
     at_start, frees = _extrapolated(problem, graph, begin, time, states, first, start, free)
     remarks = [
+        f"{label}: `{name}` never changes and does not count"
+        for name, moves in zip(names, moving.tolist(), strict=True)
+        if not moves
+    ]
+    remarks += [
         f"{label}: the initial value of `{name}` is taken as {at_start[k]:.6g}"
         for k, name in enumerate(problem.state_names)
         if k not in problem.clock
