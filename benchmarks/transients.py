@@ -25,9 +25,10 @@ import csv
 import math
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,7 +207,7 @@ def one_fit(
         for name, value in machine.start.items()
     }
     motion = zo.simulate(problem, until=machine.until, parameters=truth, start=start or None)
-    noise = float(np.exp(random.uniform(*np.log(_NOISE))))
+    noise = math.exp(random.uniform(math.log(_NOISE[0]), math.log(_NOISE[1])))
     seed = int(random.integers(2**31))
     sampled = zo.sample_execution(
         problem, motion, parameters=truth, rate=machine.rate, noise=noise, seed=seed
@@ -280,9 +281,14 @@ def pendulum_angles(
         end = float(run.t[-1])
         inside = (times >= begin) & (times <= end)
         if inside.any():
-            found[inside] = run.sol(times[inside])[0]
+            found[inside] = _dense(run)(times[inside])[0]
         begin, state = end, [1e-13, -p["restitution"] * float(run.y[1, -1])]
     return found
+
+
+def _dense(run: Any) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Return the dense output of an integration."""
+    return run.sol
 
 
 def recording_of(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -49,6 +50,7 @@ def test_simulated_data_say_that_they_are(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_examples_of_compare_run(folder: Path) -> None:
+    data: dict[str, Any] = {}
     for example in examples("compare"):
         answer = ask(*example)
         assert answer.code == YES, answer.err

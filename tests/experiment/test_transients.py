@@ -421,7 +421,8 @@ def test_recordings_that_show_no_drop_are_refused(recording: zo.Recording, messa
 
 def test_events_without_a_law_leave_structure() -> None:
     random = np.random.default_rng(1)
-    for times in (np.sort(random.uniform(0.0, 5.0, 15)), 1.0 + 0.3 * np.arange(12)):
+    rows: list[Row] = [np.sort(random.uniform(0.0, 5.0, 15)), 1.0 + 0.3 * np.arange(12.0)]
+    for times in rows:
         found = zo.identify(
             "bouncing_ball", heard(times), ["restitution"], initial=["height"], on_progress=silent
         )

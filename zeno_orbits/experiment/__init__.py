@@ -3,10 +3,13 @@
 Offers: for recordings `Recording` of `RecordedSignal`s with a `Source`, `read_recording`,
 `write_recording`, `sampled`. `compare_recording` returns a `Comparison` of `Metric`s.
 `fit_parameters` returns an `Identification` of `FitParameter`s or raises `UnfittableError`.
+`fit_transient_parameters` does the same for transients, `transient_reason` decides between the two,
+and `compare_transients` returns a `TransientComparison`.
 `run_rig` and `settle_rig` simulate a problem as a machine without a Zeno point, with `RigSettings`.
 
 Sub-folders: `recordings` (files, tables, periodicity of signals), `comparison` (an orbit compared
-with a recording), `identification` (parameters by least squares), `rig` (simulated machines). The
+with a recording), `identification` (parameters by least squares), `transients` (drops, steps and
+event times by single shooting), `rig` (simulated machines). The
 module `orbit_table` evaluates an orbit at all phases at once and masks the samples near jumps.
 `polyline` measures the distance of points from a line.
 

@@ -53,6 +53,7 @@ class ResidualTests:
         scatter: Scatter of the restitution per impact by event times, relative, or NaN.
         jitter: Jitter of event times relative to their longest interval, or NaN.
         odd: Missed and false events relative to the recorded ones.
+        ends: Determined parameters that reached an end of their range.
     """
 
     misfit: float
@@ -64,6 +65,7 @@ class ResidualTests:
     scatter: float = math.nan
     jitter: float = math.nan
     odd: float = 0.0
+    ends: tuple[str, ...] = ()
 
     @property
     def law_differs(self) -> tuple[str, ...]:
@@ -80,7 +82,7 @@ class ResidualTests:
         """True if the model does not explain the recording."""
         tests = (*self.law_differs, *self.speed_matters)
         is_loud = self.misfit > _LOUD or self.is_loose
-        return is_loud or self.alike < _RARE or bool(tests)
+        return is_loud or self.alike < _RARE or bool(tests or self.ends)
 
     @property
     def is_loose(self) -> bool:
@@ -205,7 +207,7 @@ def _laws(shooting: Shooting, fit: Fit) -> tuple[_ByStop, _ByStop, _ByStop]:
 
 def _scaled(rows: Vector) -> Vector:
     size = np.linalg.norm(rows, axis=0)
-    return rows[:, size > 0.0] / size[size > 0.0]
+    return np.asarray(rows[:, size > 0.0] / size[size > 0.0], dtype=np.float64)
 
 
 class _Score(NamedTuple):
@@ -216,20 +218,21 @@ class _Score(NamedTuple):
 
 
 def _explained(columns: Vector, basis: Vector, fit: Fit) -> _Score:
-    from scipy.stats import f as fisher
+    from scipy.special import fdtrc
 
     columns = _scaled(columns)
     left = columns - basis @ (basis.T @ columns)
     rest = fit.rest - basis @ (basis.T @ fit.rest)
-    vectors, sizes, _ = np.linalg.svd(left, full_matrices=False)
-    rank = int(np.sum(sizes > 1e-6))
+    parts = np.linalg.svd(left, full_matrices=False)
+    vectors: Vector = np.asarray(parts[0], dtype=np.float64)
+    rank = int(np.sum(parts[1] > 1e-6))
     freedom = len(rest) - basis.shape[1] - rank
     along = vectors[:, :rank].T @ rest
     power = float(along @ along)
     if rank == 0 or freedom < 3:
         return _Score(power, None)
     other = max(float(rest @ rest) - power, 1e-300)
-    return _Score(power, float(fisher.sf(power / rank / (other / freedom), rank, freedom)))
+    return _Score(power, float(fdtrc(rank, freedom, power / rank / (other / freedom))))
 
 
 def _deviation_rows(shooting: Shooting, fit: Fit, stop: str) -> tuple[Vector, Vector]:

@@ -455,41 +455,34 @@ def _described(
     on_progress: Progress,
 ) -> TransientResult:
     """Return the result of a fit: intervals, undetermined combinations, and the verdict."""
-    is_known = events is not None and events.estimated
-    scatter = events.scatter if events is not None and is_known else math.nan
-    jitter = events.jitter / events.longest if events is not None and is_known else math.nan
+    known = events if events is not None and events.estimated else None
+    scatter = math.nan if known is None else known.scatter
+    jitter = math.nan if known is None else known.jitter / known.longest
     tests = tested(shooting, found, noise, scatter, jitter)
-    determined = len(found.rest) > int(np.linalg.matrix_rank(found.jacobian))
     inflation = tests.inflation if tests.has_structure else 1.0
     labels = [one.label for one in sought]
-    k = shooting.n_shared
-    scale = math.sqrt(found.cost / degrees(found))
-    covariance = covariance_of(found)[:k, :k]
-    unseen = _unseen(shooting, found, labels, scale * inflation)
+    scale = math.sqrt(found.cost / degrees(found)) * inflation
+    unseen = _unseen(shooting, found, labels, scale)
     hidden = {name for one in unseen for name, part in one.direction.items() if abs(part) > _HIDDEN}
-    shared: list[SharedValue] = []
-    for j, label in enumerate(labels):
-        on_progress("computing the intervals", j / max(len(labels), 1))
-        inside = determined and not _at_end(shooting, found, j)
-        known = label not in hidden and found.converged and inside
-        shared.append(
-            _shared(shooting, found, j, scale, covariance, inflation)
-            if known
-            else SharedValue(
-                value=float(shooting.values(found.z)[j]),
-                error=math.inf,
-                low=-math.inf,
-                high=math.inf,
-            )
-        )
+    at_end = [label for k, label in enumerate(labels) if _at_end(shooting, found, k)]
+    tests = replace(tests, ends=tuple(label for label in at_end if label not in hidden))
+    k, covariance = shooting.n_shared, covariance_of(found)
+    covariance = covariance[:k, :k]
     errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    determined = _is_determined(found)
+    without = {*hidden, *at_end} if determined and found.converged else {*labels}
     trials = tuple(_fitted_trial(shooting, found, j) for j in range(len(shooting.trials)))
     others = tuple(
         dict(zip(labels, shooting.values(z).tolist(), strict=True)) for z in found.others
     )
     return TransientResult(
         values=_values(shooting, found, sought, begin),
-        shared=tuple(shared),
+        shared=tuple(
+            _unknown(shooting, found, j)
+            if label in without
+            else _shared(shooting, found, j, scale * float(errors[j]), inflation, on_progress)
+            for j, label in enumerate(labels)
+        ),
         unknowns=shooting.unknowns,
         correlation=covariance / np.outer(errors, errors),
         unseen=unseen,
@@ -506,24 +499,49 @@ def _described(
             jitter=math.nan if events is None else events.jitter,
             scatter=scatter,
         ),
-        remarks=tuple(_remarks(shooting, found, labels, trials, tests, others)),
+        remarks=tuple(_remarks(shooting, found, at_end, trials, tests, others)),
     )
 
 
+def _is_determined(found: Fit) -> bool:
+    """Return True if there are more data than unknowns that matter."""
+    return len(found.rest) > int(np.linalg.matrix_rank(found.jacobian))
+
+
+def _unknown(shooting: Shooting, found: Fit, j: int) -> SharedValue:
+    """Return a fitted value without an interval."""
+    value = float(shooting.values(found.z)[j])
+    return SharedValue(value=value, error=math.inf, low=-math.inf, high=math.inf)
+
+
 def _shared(
-    shooting: Shooting, found: Fit, j: int, scale: float, covariance: Vector, inflation: float
+    shooting: Shooting,
+    found: Fit,
+    j: int,
+    error: float,
+    inflation: float,
+    on_progress: Progress,
 ) -> SharedValue:
-    """Return a fitted value with its profile interval."""
+    """Return a fitted value with its profile interval.
+
+    Args:
+        shooting: The trials.
+        found: The optimum.
+        j: Index of the value.
+        error: Standard error of its unknown.
+        inflation: Ratio of the errors to those for independent residuals.
+        on_progress: Called with the part that is done.
+    """
+    on_progress("computing the intervals", j / shooting.n_shared)
     low, high = profile_ends(shooting, found, j, inflation)
     ends: list[float] = []
     for end in (low, high):
         z = found.z.copy()
         z[j] = end
         ends.append(float(shooting.values(z)[j]))
-    slope = abs(float(shooting.slopes(found.z)[j]))
     return SharedValue(
         value=float(shooting.values(found.z)[j]),
-        error=slope * scale * inflation * math.sqrt(max(float(covariance[j, j]), 0.0)),
+        error=abs(float(shooting.slopes(found.z)[j])) * error,
         low=min(ends),
         high=max(ends),
     )
@@ -657,6 +675,9 @@ def _verdict(
             f"structure is left: neighbouring residuals are alike (probability "
             f"{tests.alike:.1g}), so the model lacks an effect"
         )
+    if tests.ends:
+        names = ", ".join(f"`{one}`" for one in tests.ends)
+        return f"structure is left: {names} reached an end of the range, and is not identified"
     if events is not None and not math.isfinite(tests.misfit):
         return "no structure is left: one law with its scatter explains the event times"
     return "no structure is left: the residuals are white and as large as the noise"
@@ -687,7 +708,7 @@ def _law_verdict(tests: ResidualTests) -> str:
 def _remarks(
     shooting: Shooting,
     found: Fit,
-    labels: Sequence[str],
+    at_end: Sequence[str],
     trials: Sequence[FittedTrial],
     tests: ResidualTests,
     others: Sequence[Mapping[str, float]],
@@ -696,12 +717,8 @@ def _remarks(
     many = len(trials) > 1
     for one in trials:
         remarks += [f"{one.label}: {w}" if many else w for w in (*one.missed, *one.false)]
-    remarks += [
-        f"`{label}` reached an end of its range, so it has no interval"
-        for k, label in enumerate(labels)
-        if _at_end(shooting, found, k)
-    ]
-    if len(found.rest) <= int(np.linalg.matrix_rank(found.jacobian)):
+    remarks += [f"`{label}` reached an end of its range, so it has no interval" for label in at_end]
+    if not _is_determined(found):
         remarks.append("no value has an interval: there are no more data than unknowns")
     if found.starts > 2 and found.agreed < 2:
         remarks.append(f"only one of {found.starts} starts led to this optimum")
