@@ -441,3 +441,39 @@ def test_as_many_unknowns_as_data_give_no_interval() -> None:
     assert math.isinf(found.fitted[0].error)
     assert found.transient is not None
     assert found.transient.verdict.startswith("the model is not tested")
+
+
+@pytest.mark.slow
+def test_event_times_of_two_stops_and_releases_give_two_parameters() -> None:
+    problem = zo.load_problem("relay")
+    truth = problem.values().parameters
+    motion = zo.simulate(problem, until=0.036)
+    columns: dict[str, list[float]] = {}
+    for kind, events in (("impact", motion.impacts), ("release", motion.releases)):
+        for event in events:
+            own = columns.setdefault(f"{kind} {event.stop}", [])
+            # Bounces of less than 20 microseconds are not heard.
+            if event.time > 0.0 and (not own or event.time - own[-1] > 2e-5):
+                own.append(event.time)
+    random = np.random.default_rng(1)
+    rows = {
+        name: np.sort(np.array(own) + 1e-6 * random.standard_normal(len(own)))
+        for name, own in columns.items()
+    }
+    every = np.unique(np.concatenate(list(rows.values())))
+    recording = zo.Recording(
+        source=None,
+        problem="relay",
+        time=every,
+        signals=tuple(
+            RecordedSignal(name=name, unit="s", values=np.where(np.isin(every, row), every, np.nan))
+            for name, row in rows.items()
+        ),
+    )
+    begin = {name: 1.15 * truth[name] for name in ("restitution", "ks")}
+    found = zo.identify("relay", recording, list(begin), parameters=begin, on_progress=silent)
+    for one in found.fitted:
+        true = truth[one.unknown.label]
+        assert abs(one.value - true) < 4 * one.error < 0.05 * true
+    assert found.transient is not None
+    assert found.transient.trials[0].missed == ()
