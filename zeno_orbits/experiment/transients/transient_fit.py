@@ -695,11 +695,13 @@ def _law_verdict(tests: ResidualTests) -> str:
             f"explains {100 * part:.2g} % of the deviations at impacts (probability {rare:.1g} by "
             f"chance)"
         )
-    also = ""
     if not math.isfinite(tests.misfit):
-        also = ", beyond scatter"
+        return (
+            f"structure is left: the impacts{where} do not have one restitution beyond its scatter "
+            f"(probability {rare:.1g}), so it follows the speed, or the flights have drag"
+        )
     return (
-        f"structure is left: the impacts{where} do not have one restitution{also} (probability "
+        f"structure is left: the impacts{where} do not have one restitution (probability "
         f"{rare:.1g}); a law of the speed or scatter may explain this, and a single drop cannot "
         f"separate them"
     )
