@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -27,6 +27,8 @@ from zeno_orbits.simulation import EventKind
 
 CLOCK, OFFSET = "clock", "offset"
 """Names of the phase of the clock and of the time offset among the free initial values."""
+_LEAST = 8
+"""Samples of a trial, at least."""
 _FEW = 25
 """Samples from which initial values are extrapolated, at most."""
 _MOST_SAMPLES = 200_000
@@ -240,14 +242,7 @@ def _of_samples(
     free: Collection[str],
 ) -> Trial:
     """Return a trial of samples, with event times beside them if there are any."""
-    names = tuple(name for name in names if np.isfinite(recording.signal(name).values).any())
-    if not names:
-        raise InputError(f"Argument `recording`: all samples of {label} are missing.")
-    values = np.stack([recording.signal(name).values for name in names], axis=1)
-    rows = np.isfinite(values).any(axis=1)
-    time, values = recording.time[rows], values[rows]
-    if len(time) < 8:
-        raise InputError(f"Argument `recording`: {label} has fewer than 8 samples.")
+    time, names, values = _samples(recording, names, label)
     origin = float(time[0])
     time = time - origin
     states = {
@@ -273,20 +268,12 @@ def _of_samples(
     noise = np.where(moving, [noise_of(row) for row in values.T], 1.0)
     first = float(every[0]) if len(every) else float(time[-1])
     at_start, frees = _extrapolated(problem, graph, begin, time, states, first, start, free)
-    remarks = [
+    still = [
         f"{label}: `{name}` never changes and does not count"
         for name, moves in zip(names, moving.tolist(), strict=True)
         if not moves
     ]
-    remarks += [
-        f"{label}: the initial value of `{name}` is taken as {at_start[k]:.6g}"
-        for k, name in enumerate(problem.state_names)
-        if k not in problem.clock
-        and name not in start
-        and name not in [one.name for one in frees]
-        and at_start[k] != 0.0
-        and k not in states
-    ]
+    known = {*start, *(one.name for one in frees), *(problem.state_names[k] for k in states)}
     return Trial(
         label=label,
         origin=origin,
@@ -302,8 +289,33 @@ def _of_samples(
         free=frees,
         horizons=_horizons(time, every),
         jumping=jumping,
-        remarks=tuple(remarks),
+        remarks=(*still, *_taken(problem, label, at_start, known)),
     )
+
+
+def _samples(
+    recording: Recording, names: Sequence[str], label: str
+) -> tuple[Vector, tuple[str, ...], Vector]:
+    """Return the times with a sample, the channels with samples, and their values, ``(n, n_s)``.
+
+    Raises:
+        InputError: If there are too few.
+    """
+    names = tuple(name for name in names if np.isfinite(recording.signal(name).values).any())
+    if not names:
+        raise InputError(f"Argument `recording`: all samples of {label} are missing.")
+    values = np.stack([recording.signal(name).values for name in names], axis=1)
+    rows = np.isfinite(values).any(axis=1)
+    if np.count_nonzero(rows) < _LEAST:
+        raise InputError(f"Argument `recording`: {label} has fewer than {_LEAST} samples.")
+    return recording.time[rows], names, values[rows]
+
+
+def _taken(problem: Problem, label: str, start: Vector, known: Collection[str]) -> Iterator[str]:
+    """Yield a remark for every initial value that is neither given nor recorded nor determined."""
+    for k, name in enumerate(problem.state_names):
+        if k not in problem.clock and name not in known and start[k] != 0.0:
+            yield f"{label}: the initial value of `{name}` is taken as {start[k]:.6g}"
 
 
 def _since(one: EventSeries, origin: float) -> EventSeries:
