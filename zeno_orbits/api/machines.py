@@ -250,7 +250,7 @@ def labelled_recordings(
     return [
         (
             Path(one).name if isinstance(one, str | Path) else f"trial {k}",
-            recording_for(problem, one, t_start, t_end, on_progress),
+            recording_for(problem, one, t_start, t_end, on_progress, events=True),
         )
         for k, one in enumerate(several, start=1)
     ]
@@ -642,6 +642,8 @@ def recording_for(
     t_start: float | None = None,
     t_end: float | None = None,
     on_progress: Progress = silent,
+    *,
+    events: bool = False,
 ) -> Recording:
     """Return the part of a recording that counts, with the signals of a problem.
 
@@ -651,6 +653,7 @@ def recording_for(
         t_start: First time [s].
         t_end: Last time [s].
         on_progress: Called with the stage.
+        events: Whether columns of event times count, which may stand alone in a file.
 
     Raises:
         DataFileError: If the file is not a recording.
@@ -667,10 +670,9 @@ def recording_for(
     if isinstance(recording, str | Path):
         on_progress("reading the recording", None)
         known = measurable(problem)
-        families = (CONTACT, *EVENT_FAMILIES)
-        recording = read_event_file(recording) or read_recording(
-            recording, only=known, families=families, units=known
-        )
+        families = (CONTACT, *EVENT_FAMILIES) if events else (CONTACT,)
+        alone = read_event_file(recording) if events else None
+        recording = alone or read_recording(recording, only=known, families=families, units=known)
     return crop(recording, t_start, t_end)
 
 

@@ -64,7 +64,7 @@ class EventSeries:
 def read_event_file(path: Path | str) -> Recording | None:
     """Return a file of event times alone as a recording, or ``None`` if it has a column of times.
 
-    A single column `time [s]` holds times of impacts, one per line.
+    A single column holds one time per line.
 
     Args:
         path: The file.
@@ -112,7 +112,7 @@ def _lone_column(path: Path) -> Recording | None:
         return None
     title = rows[0][1]
     name = title.partition("[")[0].partition("(")[0].strip()
-    if event_kind_of(name) is None and name.lower() not in TIMES:
+    if event_kind_of(name) is None:
         return None
     unit = title[len(name) :].strip(" []()")
     try:
@@ -128,7 +128,7 @@ def _lone_column(path: Path) -> Recording | None:
             told = f"line {number} has `{short(text)}` where a time is expected"
             raise DataFileError(path, f"{told}: correct or delete the line")
         values.append(value * size)
-    return _of_times(path, {name if event_kind_of(name) else "impact": np.array(values)})
+    return _of_times(path, {name: np.array(values)})
 
 
 def _of_times(path: Path, columns: Mapping[str, Vector]) -> Recording:
