@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -232,7 +232,8 @@ def _explained(columns: Vector, basis: Vector, fit: Fit) -> _Score:
     if rank == 0 or freedom < 3:
         return _Score(power, None)
     other = max(float(rest @ rest) - power, 1e-300)
-    return _Score(power, float(fdtrc(rank, freedom, power / rank / (other / freedom))))
+    found: Any = fdtrc(rank, freedom, power / rank / (other / freedom))
+    return _Score(power, float(found))
 
 
 def _deviation_rows(shooting: Shooting, fit: Fit, stop: str) -> tuple[Vector, Vector]:
