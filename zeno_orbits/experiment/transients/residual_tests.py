@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -200,7 +200,7 @@ def _laws(shooting: Shooting, fit: Fit) -> tuple[_ByStop, _ByStop, _ByStop]:
         every, slope = _explained(columns, basis, fit), _explained(along, basis, fit)
         for own, score in ((laws, every), (speeds, slope)):
             if score.probability is not None:
-                own[stop] = score.probability
+                own[stop] = float(score.probability)
         parts[stop] = slope.power / max(every.power, slope.power, 1e-300)
     return laws, speeds, parts
 
@@ -232,8 +232,8 @@ def _explained(columns: Vector, basis: Vector, fit: Fit) -> _Score:
     if rank == 0 or freedom < 3:
         return _Score(power, None)
     other = max(float(rest @ rest) - power, 1e-300)
-    found: Any = fdtrc(rank, freedom, power / rank / (other / freedom))
-    return _Score(power, float(found))
+    ratio = power / rank / (other / freedom)
+    return _Score(power, cast("float", fdtrc(rank, freedom, ratio)))
 
 
 def _deviation_rows(shooting: Shooting, fit: Fit, stop: str) -> tuple[Vector, Vector]:
