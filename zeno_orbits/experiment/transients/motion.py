@@ -195,7 +195,9 @@ class Motion:
             (k for k, arc in enumerate(arcs) if arc.start_time >= impact.time), len(arcs) - 1
         )
         view = self.graph.open_views[self.graph.stop_names.index(impact.stop)]
-        kick = (impact.state_plus - impact.state_minus) / (1.0 + view.restitution)
+        # The restitution of this impact, which may depend on its speed.
+        ratio = float(view.speed_after(impact.approach_rate)) / abs(impact.approach_rate)
+        kick = (impact.state_plus - impact.state_minus) / (1.0 + ratio)
         state = np.zeros((len(kick), len(kick)))
         state[:, 0] = kick
         rate = np.zeros(len(kick))
