@@ -137,7 +137,7 @@ class Solution:
         return sorted(self.residuals.items(), key=lambda item: -item[1])[:n]
 
 
-def _quiet_about_interrupts() -> contextlib.AbstractContextManager[object]:
+def quiet_interrupts() -> contextlib.AbstractContextManager[object]:
     """Suppress CasADi's line about an interrupt on the terminal, in the main thread only."""
     if threading.current_thread() is threading.main_thread():
         return contextlib.redirect_stderr(io.StringIO())
@@ -180,7 +180,7 @@ def solve(program: NonlinearProgram, settings: IpoptSettings | None = None) -> S
     nlp = {"x": program.unknowns, "f": program.objective, "g": weighted[0]}
     solver = ca.nlpsol("orbit", "ipopt", nlp, options)
     started = time.perf_counter()
-    with _quiet_about_interrupts():
+    with quiet_interrupts():
         answer = solver(
             x0=program.guess,
             lbx=program.lower,
