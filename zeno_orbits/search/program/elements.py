@@ -127,6 +127,11 @@ class ElementProgram:
     row_bounds: Array
     row_names: tuple[str, ...]
 
+    @property
+    def n_inequalities(self) -> int:
+        """Number of rows that are no equations."""
+        return int(np.sum(self.row_bounds[0] < self.row_bounds[1]))
+
     def solve(self, settings: IpoptSettings) -> ElementSolution:
         """Solve the program by Ipopt, from its guess.
 
@@ -314,10 +319,27 @@ class ElementBuilder:
         """Add half the weighted square of the distance of an unknown from a value."""
         self._squares[place] = (weight, wanted)
 
+    @property
+    def n(self) -> int:
+        """Number of unknowns."""
+        return self._n
+
     def value(self, places: Rows) -> Array:
         """Return the guess of unknowns, in their own units."""
         guess, sizes = np.concatenate(self._guess), np.concatenate(self._sizes)
         return np.asarray((guess * sizes)[places])
+
+    def output_values(self, places: Rows) -> Array:
+        """Return outputs of elements at the guess."""
+        guess = self.value(np.arange(self._n))
+        found = np.full(self._n_outputs, np.nan)
+        for calls in self._calls.values():
+            if not np.isin(calls.outputs, places).any():
+                continue
+            n = calls.columns.shape[1]
+            values: Any = calls.element.values.map(n)(guess[calls.columns], calls.constants)
+            found[calls.outputs] = np.array(ca.DM(values).full())
+        return found[places]
 
     def built(self) -> ElementProgram:
         """Return the program."""

@@ -248,7 +248,7 @@ class _Writer:
 
     def _at(self, element: Element, columns: Rows) -> Rows:
         """Evaluate an element at columns without free values, and return its outputs."""
-        one = columns.reshape(len(columns), -1)
+        one = columns if columns.ndim == 2 else columns[:, None]
         free = np.repeat(self.free[:, None], one.shape[1], axis=1)
         return self.builder.outputs(element, np.vstack([one, free]), self.graph.p)
 

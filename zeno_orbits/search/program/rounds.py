@@ -1,0 +1,463 @@
+r"""Orbits with free values by a program: transcribe, solve, simulate, and once more.
+
+A program has the event sequence of its guess. The first rounds may run a flow backward for a moment
+and take a target as a wish, so that they end near the optimum with events in another order. The
+simulation from there has the new sequence, and is the guess of the next round. A result is a
+simulated orbit, closed by Newton's method, that the program leaves unchanged.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zeno_orbits.arrays import Array, Vector
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import (
+    Bound,
+    EventReturn,
+    closed_return,
+    event_return,
+    largest_states,
+    orbit_event_name,
+    sequence_of,
+)
+from zeno_orbits.search.objectives import Objective, Target
+from zeno_orbits.search.program.elements import ElementBuilder, ElementProgram, ElementSolution
+from zeno_orbits.search.program.terms import SearchTerms, dips_of, moves_marks, needs_work
+from zeno_orbits.search.program.writer import (
+    Period,
+    WriterSettings,
+    free_places,
+    write_period,
+)
+from zeno_orbits.search.transcription.ipopt import IpoptSettings, SolveStatus
+from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.work import Progress, silent
+
+_MOST_ROUNDS = 16
+_WISHES = 2
+"""Rounds in which a target is a wish."""
+_BACKWARD = 0.3
+"""Part of its guess by which a flow may run backward in the first rounds."""
+_FORWARD = 4
+"""Round from which all flows run forward."""
+_FIRST_BOX, _SMALLER, _LARGER = 0.25, 0.25, 2.0
+"""Half width of the first box of an objective that is measured on the orbit, in units of the ranges,
+and its factors after a program that is not solved, and after one that its sides hold."""
+_AT_SIDE = 1e-4
+"""Distance from a side of a box, over its half width, at which it holds a value."""
+_MOST_FAILURES = 3
+"""Programs that are not solved, after which the search ends."""
+_MOST_CUTS = 6
+"""Programs of a round, each with rows where the last solution penetrates a stop."""
+_BARRIERS = 40
+"""Number of inequality rows from which the first barrier is weaker."""
+_KEPT = 1e-8
+"""Largest scaled residual of a solved program."""
+_SAME = 1e-7
+"""Largest relative distance of a solution from the simulated orbit."""
+_STILL = 1e-9
+"""Change of the free values, over their sizes, below which a round repeats the last one."""
+_VANISHED = 1e-6
+"""Part of its guess below which the duration of a leg is zero."""
+_FIRST = IpoptSettings(
+    optimality=1e-10, first_barrier=0.1, most_iterations=100, most_seconds=10.0
+)
+_LATER = replace(_FIRST, first_barrier=1e-3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramTask:
+    """What a program minimises, and what it keeps.
+
+    Attributes:
+        free: Name to range of the free values.
+        objective: The objective, one that a program has.
+        bounds: The bounds, which a program has.
+        sizes: Name to unit of the distance of a bound.
+        origin: Name to value near which a free value stays without another objective.
+        units: Name to unit of this distance.
+        corners: Corners of uncertain parameters, name to value.
+    """
+
+    free: Mapping[str, tuple[float, float]]
+    objective: Objective
+    bounds: tuple[Bound, ...] = ()
+    sizes: Mapping[str, float]
+    origin: Mapping[str, float]
+    units: Mapping[str, float]
+    corners: tuple[Mapping[str, float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramOrbit:
+    """The orbit of a program.
+
+    Attributes:
+        values: Its values.
+        found: The orbit, closed by simulation.
+        corners: The orbits at the corners of uncertain parameters.
+        converged: Whether the program is solved there, and is left unchanged by one more round.
+        rounds: Number of rounds.
+        iterations: Number of iterations of Ipopt in all rounds.
+        detail: Reason why it has not converged, as the end of a sentence.
+    """
+
+    values: ParameterValues
+    found: EventReturn
+    corners: tuple[EventReturn, ...]
+    converged: bool
+    rounds: int
+    iterations: int
+    detail: str = ""
+
+
+def orbit_by_program(
+    problem: Problem,
+    values: ParameterValues,
+    near: EventReturn,
+    task: ProgramTask,
+    *,
+    corners: Sequence[EventReturn] = (),
+    simulation: SimulationSettings | None = None,
+    on_progress: Progress = silent,
+) -> ProgramOrbit:
+    """Return the best orbit near a motion, by a nonlinear program.
+
+    Args:
+        problem: The problem.
+        values: Values of its gains and parameters. Free values start there.
+        near: A return to a section at these values. It need not be closed.
+        task: Objective and bounds.
+        corners: The returns at the corners of uncertain parameters.
+        simulation: Accuracy.
+        on_progress: Called with the stage.
+
+    Raises:
+        SimulationError: If no round leads to an orbit.
+    """
+    settings = simulation or SimulationSettings()
+    here = _Motions(values=values, found=near, corners=tuple(corners))
+    best: ProgramOrbit | None = None
+    iterations, reason, n_failures = 0, "", 0
+    is_wish, has_contacts = isinstance(task.objective, Target), False
+    is_measured = bool(task.objective.quantities or task.objective.is_sampled)
+    half = _FIRST_BOX if is_measured else 1.0
+    for number in range(_MOST_ROUNDS):
+        on_progress("solving the program", None)
+        is_wish &= number < _WISHES
+        rules = _Rules(number=number, is_wish=is_wish, has_contacts=has_contacts, half=half)
+        written, solution, used = _solved(problem, here, task, rules)
+        iterations += used
+        reason = solution.status.value
+        if not solution.violation <= _KEPT:
+            n_failures += 1
+            if n_failures > _MOST_FAILURES or not np.all(np.isfinite(solution.unknowns)):
+                break
+            half *= _SMALLER if is_measured else 1.0
+            if is_measured:
+                continue
+        last, is_held = here, _is_held(here, task, half, solution.unknowns[written[0].free])
+        try:
+            here, is_closed = _simulated(problem, here, task, written, solution, settings)
+        except SimulationError as error:
+            reason, has_contacts = error.reason, True
+            try:
+                here = _halfway(problem, here, task, written, solution, settings)
+            except SimulationError:
+                break
+            continue
+        is_same = _sequence(here) == _sequence(last)
+        if is_measured and not is_same and not has_contacts:
+            # The solution may penetrate a stop, which rows along its legs prevent.
+            here, has_contacts = last, True
+            continue
+        agrees = is_closed and is_same and _agrees(here, written, solution)
+        has_contacts |= not agrees
+        if not is_closed:
+            continue
+        was_wish, is_wish = is_wish, is_wish and not agrees
+        agrees &= not was_wish
+        is_still = _moved(task, last.values, here.values) <= _STILL
+        is_still = (is_still or not _places_marks(task, written)) and not is_held
+        half = min(1.0, half * _LARGER) if is_held else half
+        best = ProgramOrbit(
+            values=here.values,
+            found=here.found,
+            corners=here.corners,
+            converged=agrees and is_still,
+            rounds=number + 1,
+            iterations=iterations,
+            detail="" if agrees and is_still else reason,
+        )
+        if best.converged:
+            return best
+    if best is None:
+        raise SimulationError(
+            f"The program leads to no orbit: {reason.rstrip('.')}",
+            time=near.period,
+            state=tuple(near.start.tolist()),
+        )
+    return best
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Rules:
+    """Rules of a round.
+
+    Attributes:
+        number: Its number.
+        is_wish: Whether a target is a wish.
+        has_contacts: Whether stops are kept open or closed along the legs.
+        half: Half width of the box of free values around the last ones, in units of the ranges.
+    """
+
+    number: int
+    is_wish: bool
+    has_contacts: bool
+    half: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Motions:
+    """Returns at values, and at the corners of uncertain parameters."""
+
+    values: ParameterValues
+    found: EventReturn
+    corners: tuple[EventReturn, ...]
+
+
+def _solved(
+    problem: Problem, here: _Motions, task: ProgramTask, rules: _Rules
+) -> tuple[tuple[Period, ...], ElementSolution, int]:
+    """Write and solve the program of a round, with rows at places where it penetrates a stop.
+
+    Returns:
+        The periods, the solution, and the number of iterations.
+    """
+    dips: list[tuple[int, int, float, int]] = []
+    guess: Array | None = None
+    iterations = 0
+    settings = _FIRST if rules.number == 0 else _LATER
+    for _ in range(_MOST_CUTS):
+        periods, program = _written(problem, here, task, rules, dips)
+        if guess is not None:
+            # Unknowns of further places come last.
+            kept = min(len(guess), len(program.guess))
+            start = program.guess.copy()
+            start[:kept] = guess[:kept] / program.sizes[:kept]
+            program = replace(program, guess=start)
+        # Many barriers would otherwise outweigh the objective.
+        barrier = settings.first_barrier * min(1.0, _BARRIERS / max(program.n_inequalities, 1))
+        solution = program.solve(replace(settings, first_barrier=barrier))
+        iterations += solution.iterations
+        if not np.all(np.isfinite(solution.unknowns)):
+            break
+        found = dips_of(periods, solution.unknowns) if rules.has_contacts else []
+        if not found:
+            break
+        dips, guess, settings = dips + found, solution.unknowns, _LATER
+    return periods, solution, iterations
+
+
+def _written(
+    problem: Problem,
+    here: _Motions,
+    task: ProgramTask,
+    rules: _Rules,
+    dips: Sequence[tuple[int, int, float, int]],
+) -> tuple[tuple[Period, ...], ElementProgram]:
+    """Return the periods of a round, and their program."""
+    builder = ElementBuilder()
+    graph = problem.graph_dynamics(here.values)
+    box = _box(here, task, rules.half)
+    free = dict(zip(task.free, free_places(builder, graph, box).tolist(), strict=True))
+    writing = WriterSettings(backward=_BACKWARD if rules.number < _FORWARD else 0.0)
+    pairs = [(here.values, here.found)]
+    pairs += [
+        (here.values.replaced(corner), found)
+        for corner, found in zip(task.corners, here.corners, strict=True)
+    ]
+    periods = tuple(
+        write_period(
+            builder,
+            problem.graph_dynamics(values),
+            found,
+            free,
+            has_work=needs_work(task.objective, task.bounds, graph),
+            settings=writing,
+        )
+        for values, found in pairs
+    )
+    terms = SearchTerms(periods=periods, free=free)
+    if not task.objective.quantities and not task.objective.is_sampled:
+        terms.nearest(task.origin, task.units, task.objective.goal)
+    terms.aim(task.objective, is_wish=rules.is_wish)
+    for bound in task.bounds:
+        terms.keep(bound, task.sizes[bound.name])
+    if rules.has_contacts:
+        terms.keep_contacts(dips)
+    return periods, builder.built()
+
+
+def _box(here: _Motions, task: ProgramTask, half: float) -> dict[str, tuple[float, float]]:
+    """Return the ranges of free values within a box around the last ones."""
+    box: dict[str, tuple[float, float]] = {}
+    for name, (low, high) in task.free.items():
+        value, room = here.values.number(name), half * (high - low)
+        box[name] = (max(low, value - room), min(high, value + room))
+    return box
+
+
+def _is_held(here: _Motions, task: ProgramTask, half: float, numbers: Array) -> bool:
+    """Return True if a side of a box holds a free value, and is no side of its range."""
+    for (name, (low, high)), number in zip(task.free.items(), numbers.tolist(), strict=True):
+        room = half * (high - low)
+        off = number - here.values.number(name)
+        is_at_side = abs(off) >= (1.0 - _AT_SIDE) * room
+        if is_at_side and low + _AT_SIDE * room < number < high - _AT_SIDE * room:
+            return True
+    return False
+
+
+def _values_at(
+    values: ParameterValues, task: ProgramTask, numbers: Sequence[float]
+) -> ParameterValues:
+    """Return values with the free ones replaced. Rounding does not take them out of their range."""
+    ranges = task.free.items()
+    free = {
+        name: min(max(number, low), high)
+        for (name, (low, high)), number in zip(ranges, numbers, strict=True)
+    }
+    return values.replaced(free)
+
+
+def _simulated(
+    problem: Problem,
+    here: _Motions,
+    task: ProgramTask,
+    periods: Sequence[Period],
+    solution: ElementSolution,
+    settings: SimulationSettings,
+) -> tuple[_Motions, bool]:
+    """Return the motions from the starts of a solution, and whether all are closed.
+
+    Raises:
+        SimulationError: If a motion does not return.
+    """
+    z = solution.unknowns
+    values = _values_at(here.values, task, z[periods[0].free].tolist())
+    motions: list[EventReturn] = []
+    is_closed = True
+    corners = ({}, *task.corners)
+    for period, corner, last in zip(periods, corners, (here.found, *here.corners), strict=True):
+        start, time = z[period.legs[0].start], float(z[period.period])
+        at = values.replaced(corner) if corner else values
+        try:
+            motions.append(_return(problem, at, start, last, time, settings, is_closed=True))
+        except SimulationError:
+            motions.append(_return(problem, at, start, last, time, settings, is_closed=False))
+            is_closed = False
+    return _Motions(values=values, found=motions[0], corners=tuple(motions[1:])), is_closed
+
+
+def _return(
+    problem: Problem,
+    values: ParameterValues,
+    start: Vector,
+    last: EventReturn,
+    period: float,
+    settings: SimulationSettings,
+    *,
+    is_closed: bool,
+) -> EventReturn:
+    """Return the motion from a start to the section of the last one, closed or as it is."""
+    section = orbit_event_name(last.events[-1])
+    n_returns = sum(orbit_event_name(event) == section for event in last.events)
+    close = closed_return if is_closed else event_return
+    return close(
+        problem.graph_dynamics(values),
+        start,
+        section=section,
+        n_returns=n_returns,
+        guess=period if period > 0.0 else last.period,
+        settings=settings,
+        mode=last.mode,
+    )
+
+
+def _halfway(
+    problem: Problem,
+    here: _Motions,
+    task: ProgramTask,
+    periods: Sequence[Period],
+    solution: ElementSolution,
+    settings: SimulationSettings,
+) -> _Motions:
+    """Return the motions from the last starts, at values halfway to those of a solution.
+
+    Raises:
+        SimulationError: If a motion does not return.
+    """
+    wanted = solution.unknowns[periods[0].free].tolist()
+    numbers = [
+        (here.values.number(name) + number) / 2
+        for name, number in zip(task.free, wanted, strict=True)
+    ]
+    values = _values_at(here.values, task, numbers)
+    motions = [
+        _return(
+            problem,
+            values.replaced(corner) if corner else values,
+            last.start,
+            last,
+            last.period,
+            settings,
+            is_closed=False,
+        )
+        for corner, last in zip(({}, *task.corners), (here.found, *here.corners), strict=True)
+    ]
+    return _Motions(values=values, found=motions[0], corners=tuple(motions[1:]))
+
+
+def _agrees(here: _Motions, periods: Sequence[Period], solution: ElementSolution) -> bool:
+    """Return True if a solved program has the simulated orbits."""
+    if solution.status not in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE):
+        return False
+    if solution.violation > _KEPT:
+        return False
+    z = solution.unknowns
+    for period, found in zip(periods, (here.found, *here.corners), strict=True):
+        if any(z[one.duration] <= _VANISHED * one.leg.duration for one in period.legs):
+            return False
+        sizes = largest_states(found.execution.arcs, period.graph)
+        off = np.abs(z[period.legs[0].start] - found.start) / sizes
+        longer = abs(float(z[period.period]) / found.period - 1.0)
+        if not max(float(np.max(off)), longer) <= _SAME:
+            return False
+    return True
+
+
+def _sequence(here: _Motions) -> list[tuple[str, ...]]:
+    """Return the event sequences of motions."""
+    return [
+        sequence_of([orbit_event_name(event) for event in found.events])
+        for found in (here.found, *here.corners)
+    ]
+
+
+def _moved(task: ProgramTask, before: ParameterValues, after: ParameterValues) -> float:
+    """Return the largest change of a free value, over its unit."""
+    changes = [
+        abs(after.number(name) - before.number(name)) / task.units[name] for name in task.free
+    ]
+    return max(changes, default=0.0) if all(map(math.isfinite, changes)) else math.inf
+
+
+def _places_marks(task: ProgramTask, periods: Sequence[Period]) -> bool:
+    return moves_marks(task.objective, task.bounds, periods[0].graph)
