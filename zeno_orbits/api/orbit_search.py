@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         Candidate,
         EventSearchResult,
         Objective,
+        SearchMethod,
         SearchResult,
         SearchSettings,
         ShootingResult,
@@ -244,6 +245,7 @@ def search_event_gains(
     n_starts: int = 12,
     seed: int = 0,
     candidates: int = 1,
+    method: SearchMethod | None = None,
     allow_unstable: bool = False,
     settings: SimulationSettings | None = None,
     on_progress: Progress = silent,
@@ -279,6 +281,8 @@ def search_event_gains(
         seed: Seed of these starts, and of initial states.
         candidates: Number of different verified orbits to find and rank. If it is larger than 1,
             all starts count, and motions also start from initial states around the best orbit.
+        method: How the optimum is found. The default is `SearchMethod.AUTO`: the program, whose
+            optimum shooting checks.
         allow_unstable: Rank unstable orbits, too.
         settings: Integrator and accuracy.
         on_progress: Called with the stage and the part of it that is done.
@@ -292,6 +296,7 @@ def search_event_gains(
             machine.
         SimulationError: If no motion settles to an orbit.
     """
+    from zeno_orbits.search import SearchMethod as Method
     from zeno_orbits.search import search_event_orbits as search
 
     if candidates < 1:
@@ -311,6 +316,7 @@ def search_event_gains(
         n_starts=n_starts,
         seed=whole("seed", seed),
         candidates=candidates,
+        method=method or Method.AUTO,
         accept=Verified(problem=known, allow_unstable=allow_unstable),
         simulation=settings,
         on_progress=on_progress,

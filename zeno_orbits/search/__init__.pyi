@@ -38,5 +38,6 @@ from .search import orbit_at_gains as orbit_at_gains
 from .search import search_orbits as search_orbits
 from .settings import SearchSettings as SearchSettings
 from .settings import TransientSettings as TransientSettings
+from .settings import SearchMethod as SearchMethod
 from .settings import SearchStatus as SearchStatus
 from .transcription.arc import TranscriptionSettings as TranscriptionSettings

@@ -22,6 +22,21 @@ class SearchStatus(Enum):
     NOT_ACCEPTED = "The orbits that were found were not accepted."
 
 
+class SearchMethod(Enum):
+    """How the best orbit in given ranges is found.
+
+    Attributes:
+        PROGRAM: A nonlinear program with all impacts, solved by Ipopt, then a simulation.
+        SHOOTING: Orbits that are closed by simulation at every choice of the free values.
+        AUTO: The program, whose optimum shooting checks. Shooting alone where there is no program,
+            or where it does not converge.
+    """
+
+    AUTO = "auto"
+    PROGRAM = "program"
+    SHOOTING = "shooting"
+
+
 _BY_ITERATIONS = IpoptSettings(most_iterations=60, most_seconds=1e9)
 """Limit of iterations. A time limit would make the result depend on the load of the machine."""
 

@@ -67,7 +67,10 @@ from zeno_orbits.search.objectives import (
     WorstCase,
     corners_of,
 )
+from zeno_orbits.search.program.rounds import ProgramTask, orbit_by_program
+from zeno_orbits.search.program.terms import refusal
 from zeno_orbits.search.search_problem import clipped
+from zeno_orbits.search.settings import SearchMethod
 from zeno_orbits.search.strength import EnoughError, highest, push_of
 from zeno_orbits.search.transcription.constraints import size_of
 from zeno_orbits.search.transcription.nearness import Nearness
@@ -82,6 +85,10 @@ _SUGGESTED = 0.1
 errors of the integration too much for a verification."""
 _ROUGH = 1e-3
 """Precision of an optimum that is only a start."""
+_NEARLY = 1e-5
+"""Violation of a program's orbit, in units of its bounds, that shooting removes."""
+_SAME_VALUE = 1e-6
+"""Relative difference of the optima of two methods that is reported."""
 _SMALLEST_SIZE = 1e-2
 """Smallest size of a free value, in units of its range."""
 
@@ -100,6 +107,7 @@ def search_event_orbits(
     n_starts: int = 12,
     seed: int = 0,
     candidates: int = 1,
+    method: SearchMethod = SearchMethod.AUTO,
     accept: AcceptEvents | None = None,
     simulation: SimulationSettings | None = None,
     on_progress: Progress = silent,
@@ -121,6 +129,7 @@ def search_event_orbits(
             until a motion settles to an orbit.
         seed: Seed of these values, and of the initial states of several orbits.
         candidates: Number of different orbits that are searched, and ranked.
+        method: How the optimum is found.
         accept: Check of the orbits. Only accepted orbits are ranked. By default there is no check.
         simulation: Accuracy.
         on_progress: Called with the stage.
@@ -142,6 +151,7 @@ def search_event_orbits(
         free=free,
         objective=wish,
         bounds=tuple(bounds),
+        method=method,
         near=near,
         section=section,
         until=until,
@@ -186,6 +196,7 @@ class _Search:
         free: Name to range of the free values.
         objective: The objective.
         bounds: The bounds.
+        method: How the optimum is found.
         near: A known orbit at which the search starts, in place of a motion that settles.
         section: Name of the event at which the period starts and ends. By default it is chosen.
         until: Longest time to settle [s].
@@ -198,6 +209,7 @@ class _Search:
     free: Mapping[str, tuple[float, float]]
     objective: Objective
     bounds: tuple[Bound, ...]
+    method: SearchMethod
     near: Orbit | None
     section: str | None
     until: float | None
@@ -265,6 +277,7 @@ class _Search:
             ranges=np.array(list(self.free.values()), dtype=np.float64).reshape(-1, 2),
             objective=self.objective,
             bounds=self.bounds,
+            method=self.method,
             corners=({}, *corners_of(self._uncertain)),
             on_progress=self.on_progress,
         )
@@ -282,6 +295,7 @@ class _Task:
         ranges: The same, ``(k, 2)``.
         objective: The objective.
         bounds: The bounds.
+        method: How the optimum is found.
         corners: The corners of uncertain parameters, the search's own parameters first.
         sizes: Name to size of the bounded quantities.
         on_progress: Called with the stage.
@@ -293,6 +307,7 @@ class _Task:
     ranges: Vector
     objective: Objective
     bounds: tuple[Bound, ...]
+    method: SearchMethod
     corners: tuple[dict[str, float], ...]
     sizes: Mapping[str, float] = field(default_factory=dict[str, float])
     on_progress: Progress
@@ -392,16 +407,62 @@ class _Task:
             return point.peak_costs(self.objective.signal)
         if isinstance(self.objective, MinSpectralRadius):
             return (self.orbits.differenced(RADIUS, point, numbers, self.ranges, {}),)
-        first = {name: self.origin.number(name) for name in self.free}
-        sizes = {
-            name: max(abs(first[name]), _SMALLEST_SIZE * (high - low))
-            for name, (low, high) in self.free.items()
-        }
+        first, sizes = self._first, self._units
         here = dict(zip(self.free, map(float, numbers), strict=True))
         wanted = {**first, **self.objective.goal}
         value = float(Nearness(first=first, sizes=sizes).distance(here, self.objective.goal))
         by = [(here[name] - wanted[name]) / sizes[name] ** 2 for name in self.free]
         return (Slope(value=value, by=np.array(by)),)
+
+    @property
+    def _first(self) -> dict[str, float]:
+        """Name to value near which a free value stays without another objective."""
+        return {name: self.origin.number(name) for name in self.free}
+
+    @property
+    def _units(self) -> dict[str, float]:
+        """Name to unit of the distance of a free value."""
+        return {
+            name: max(abs(self.origin.number(name)), _SMALLEST_SIZE * (high - low))
+            for name, (low, high) in self.free.items()
+        }
+
+    def by_program(self, first: Sample) -> tuple[Optimum, int]:
+        """Return the optimum of the program near a first trial, and Ipopt's iterations.
+
+        Args:
+            first: The trial.
+
+        Raises:
+            SimulationError: If the program leads to no orbit.
+            StepError: If an event of the objective or a bound does not occur there.
+        """
+        own, *others = first.points
+        solved = orbit_by_program(
+            self.orbits.problem,
+            own.values,
+            own.found,
+            ProgramTask(
+                free=self.free,
+                objective=self.objective,
+                bounds=self.bounds,
+                sizes=self.sizes,
+                origin=self._first,
+                units=self._units,
+                corners=self.corners[1:],
+            ),
+            corners=[point.found for point in others],
+            simulation=self.orbits.simulation,
+            on_progress=self.on_progress,
+        )
+        found = (solved.found, *solved.corners)
+        for corner, orbit in zip(self.corners, found, strict=True):
+            self.orbits.begin(orbit, corner)
+        low, high = self.ranges.T
+        numbers = np.array([solved.values.number(name) for name in self.free])
+        trial = self.trial((numbers - low) / np.where(high > low, high - low, 1.0))
+        optimum = Optimum(trial=trial, converged=solved.converged, reason=solved.detail)
+        return optimum, solved.iterations
 
     def pushes(self, trial: Sample) -> list[tuple[float, Push | None]]:
         """Return the least impulse at every corner of a trial, zero where the orbit is unstable."""
@@ -440,13 +501,70 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
         return _widest(task, first)
     if not task.free:
         return _told(task, first, Optimum(trial=first, converged=True))
+    lacking = refusal(first.points[0].graph, task.objective, task.bounds)
+    if task.method is SearchMethod.SHOOTING or (lacking and task.method is SearchMethod.AUTO):
+        return _told(task, first, _by_shooting(task, first))
+    if lacking:
+        raise InputError(
+            f"Argument `method` must be shooting or auto, but the program lacks {lacking}."
+        )
+    return _by_program(task, first)
+
+
+def _by_shooting(task: _Task, first: Sample) -> Optimum:
+    """Return the best optimum of searches over closed orbits."""
     found = [task.near(first)]
     if len(task.corners) > 1:
         found += _by_nominal(task, first)
     if min(one.trial.violation for one in found):
         found += _by_feasible(task, first)
     best = min(found, key=lambda one: one.trial.rank)
-    return _told(task, first, task.finished(best, first))
+    return task.finished(best, first)
+
+
+def _by_program(task: _Task, first: Sample) -> EventSearchResult:
+    """Return the optimum of the program, which shooting checks, or replaces where it fails."""
+    iterations = 0
+    try:
+        solved, iterations = task.by_program(first)
+        reason = "" if solved.converged else solved.reason
+    except (SimulationError, StepError) as error:
+        solved, reason = None, error.reason if isinstance(error, SimulationError) else str(error)
+    if task.method is SearchMethod.PROGRAM:
+        if solved is None or reason:
+            told = _told(task, first, solved or Optimum(trial=first, converged=False))
+            detail = f"The program found no optimum: {reason.rstrip('.')}."
+            told = replace(told, orbit=None, detail=detail)
+        else:
+            told = _told(task, first, solved)
+        return replace(told, method=SearchMethod.PROGRAM, iterations=iterations)
+    if solved is not None and not reason and solved.trial.violation <= _NEARLY:
+        checked = task.finished(task.near(solved.trial), first)
+        if not checked.trial.violation:
+            told = _told(task, first, checked)
+            return replace(
+                told,
+                method=SearchMethod.PROGRAM,
+                iterations=iterations,
+                remarks=_difference(solved.trial, checked.trial, first),
+            )
+    for corner, point in zip(task.corners, first.points, strict=True):
+        task.orbits.begin(point.found, corner)
+    told = _told(task, first, _by_shooting(task, first))
+    said = reason.rstrip(".") or "its orbit does not keep the bounds"
+    remark = f"The program found no optimum ({said})."
+    return replace(told, iterations=iterations, remarks=(remark,))
+
+
+def _difference(solved: Sample, checked: Sample, first: Sample) -> tuple[str, ...]:
+    """Return a remark if shooting improves the optimum of a program."""
+    gained = solved.value - checked.value
+    if solved.violation or gained <= _SAME_VALUE * max(abs(checked.value), abs(first.value)):
+        return ()
+    return (
+        f"The program ends at {solved.value:.10g}, and shooting goes on from there to "
+        f"{checked.value:.10g}.",
+    )
 
 
 def _strongest(task: _Task, first: Sample) -> EventSearchResult:

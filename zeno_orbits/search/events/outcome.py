@@ -12,6 +12,7 @@ from zeno_orbits.orbits import Bound, Orbit
 from zeno_orbits.search.objectives import MaxMargin, MaxPush, Objective
 from zeno_orbits.search.outcome import Accepted, StartAttempt, Verdict
 from zeno_orbits.search.search_problem import listed
+from zeno_orbits.search.settings import SearchMethod
 from zeno_orbits.search.strength import said_of
 from zeno_orbits.verification import OrbitCertificate
 
@@ -48,6 +49,9 @@ class EventSearchResult:
         candidates: The accepted orbits, the best first, if several were requested.
         attempts: Every start, in order, if several orbits were requested.
         n_states: Number of initial states in the search for other attractors at the best values.
+        method: The method that found the optimum. Never `SearchMethod.AUTO`.
+        iterations: Number of iterations of Ipopt.
+        remarks: What one method says about the optimum of the other one, as sentences.
     """
 
     orbit: Orbit | None
@@ -67,6 +71,9 @@ class EventSearchResult:
     candidates: tuple[EventCandidate, ...] = ()
     attempts: tuple[StartAttempt, ...] = ()
     n_states: int = 0
+    method: SearchMethod = SearchMethod.SHOOTING
+    iterations: int = 0
+    remarks: tuple[str, ...] = ()
 
     @property
     def is_measured(self) -> bool:
@@ -100,6 +107,9 @@ class EventSearchResult:
             "n_orbits": self.n_orbits,
             "push": None if self.push is None else self.push.as_json(),
             "detail": self.detail,
+            "method": self.method.value,
+            "iterations": self.iterations,
+            "remarks": list(self.remarks),
         }
 
 

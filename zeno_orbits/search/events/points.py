@@ -11,7 +11,7 @@ return has no effect does not count.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -310,9 +310,14 @@ class OrbitsOverValues:
         default_factory=dict["tuple[tuple[str, float], ...]", EventReturn]
     )
 
-    def begin(self, found: EventReturn) -> None:
-        """Take the first orbit."""
-        self._last[()] = found
+    def begin(self, found: EventReturn, corner: Mapping[str, float] | None = None) -> None:
+        """Take the first orbit, or the first one at a corner.
+
+        Args:
+            found: The orbit.
+            corner: Values of the uncertain parameters, in their order.
+        """
+        self._last[tuple((corner or {}).items())] = found
 
     def at(self, numbers: Vector, corner: dict[str, float]) -> OrbitAtValues:
         """Return the orbit at free values and a corner of uncertain parameters.

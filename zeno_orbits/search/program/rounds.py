@@ -44,6 +44,8 @@ _WISHES = 2
 """Rounds in which a target is a wish."""
 _BACKWARD = 0.3
 """Part of its guess by which a flow may run backward in the first rounds."""
+_MESH, _FINE = 3e-8, 1e-10
+"""Deviation of a polynomial from the guess, and that of a program with rows between stages."""
 _FORWARD = 4
 """Round from which all flows run forward."""
 _FIRST_BOX, _SMALLER, _LARGER = 0.25, 0.25, 2.0
@@ -277,7 +279,8 @@ def _written(
     graph = problem.graph_dynamics(here.values)
     box = _box(here, task, rules.half)
     free = dict(zip(task.free, free_places(builder, graph, box).tolist(), strict=True))
-    writing = WriterSettings(backward=_BACKWARD if rules.number < _FORWARD else 0.0)
+    mesh = _FINE if moves_marks(task.objective, task.bounds, graph) else _MESH
+    writing = WriterSettings(mesh=mesh, backward=_BACKWARD if rules.number < _FORWARD else 0.0)
     pairs = [(here.values, here.found)]
     pairs += [
         (here.values.replaced(corner), found)
