@@ -24,7 +24,6 @@ from zeno_orbits.orbits import (
     event_return,
     largest_states,
     orbit_event_name,
-    sequence_of,
 )
 from zeno_orbits.search.objectives import Objective, Target
 from zeno_orbits.search.program.elements import ElementBuilder, ElementProgram, ElementSolution
@@ -36,7 +35,7 @@ from zeno_orbits.search.program.writer import (
     write_period,
 )
 from zeno_orbits.search.transcription.ipopt import IpoptSettings, SolveStatus
-from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.simulation import Event, Impact, SimulationSettings
 from zeno_orbits.work import Progress, silent
 
 _MOST_ROUNDS = 16
@@ -53,8 +52,12 @@ _FIRST_BOX, _SMALLER, _LARGER = 0.25, 0.25, 2.0
 and its factors after a program that is not solved, and after one that its sides hold."""
 _AT_SIDE = 1e-4
 """Distance from a side of a box, over its half width, at which it holds a value."""
-_MOST_FAILURES = 3
+_MOST_FAILURES = 2
 """Programs that are not solved, after which the search ends."""
+_WORK = 400_000
+"""Iterations times unknowns and inequalities of all rounds. A time limit would make the result
+depend on the load of the machine."""
+_EXHAUSTED = "the program needs too many iterations"
 _MOST_CUTS = 6
 """Programs of a round, each with rows where the last solution penetrates a stop."""
 _BARRIERS = 40
@@ -68,7 +71,7 @@ _STILL = 1e-9
 _VANISHED = 1e-6
 """Part of its guess below which the duration of a leg is zero."""
 _FIRST = IpoptSettings(
-    optimality=1e-10, first_barrier=0.1, most_iterations=100, most_seconds=10.0
+    optimality=1e-10, first_barrier=0.1, most_iterations=100, most_seconds=1e9
 )
 _LATER = replace(_FIRST, first_barrier=1e-3)
 
@@ -94,6 +97,11 @@ class ProgramTask:
     origin: Mapping[str, float]
     units: Mapping[str, float]
     corners: tuple[Mapping[str, float], ...] = ()
+
+    @property
+    def is_measured(self) -> bool:
+        """True if the objective is a quantity of the orbit, and not a distance of values."""
+        return bool(self.objective.quantities or self.objective.is_sampled)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,16 +154,22 @@ def orbit_by_program(
     settings = simulation or SimulationSettings()
     here = _Motions(values=values, found=near, corners=tuple(corners))
     best: ProgramOrbit | None = None
-    iterations, reason, n_failures = 0, "", 0
+    iterations, work, reason, n_failures = 0, _WORK, "", 0
     is_wish, has_contacts = isinstance(task.objective, Target), False
-    is_measured = bool(task.objective.quantities or task.objective.is_sampled)
+    is_measured = task.is_measured
     half = _FIRST_BOX if is_measured else 1.0
     for number in range(_MOST_ROUNDS):
         on_progress("solving the program", None)
         is_wish &= number < _WISHES
         rules = _Rules(number=number, is_wish=is_wish, has_contacts=has_contacts, half=half)
-        written, solution, used = _solved(problem, here, task, rules)
-        iterations += used
+        try:
+            solved = _solved(problem, here, task, rules, work)
+        except SimulationError as error:
+            reason = error.reason
+            break
+        written, solution = solved.periods, solved.solution
+        iterations += solved.iterations
+        work -= solved.work
         reason = solution.status.value
         if not solution.violation <= _KEPT:
             n_failures += 1
@@ -168,7 +182,7 @@ def orbit_by_program(
         try:
             here, is_closed = _simulated(problem, here, task, written, solution, settings)
         except SimulationError as error:
-            reason, has_contacts = error.reason, True
+            reason, has_contacts = error.reason, is_measured or number >= _WISHES
             try:
                 here = _halfway(problem, here, task, written, solution, settings)
             except SimulationError:
@@ -180,7 +194,7 @@ def orbit_by_program(
             here, has_contacts = last, True
             continue
         agrees = is_closed and is_same and _agrees(here, written, solution)
-        has_contacts |= not agrees
+        has_contacts |= not agrees and (is_measured or number >= _WISHES)
         if not is_closed:
             continue
         was_wish, is_wish = is_wish, is_wish and not agrees
@@ -226,6 +240,16 @@ class _Rules:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class _Solved:
+    """The last program of a round: its periods, its solution, and the work of all of them."""
+
+    periods: tuple[Period, ...]
+    solution: ElementSolution
+    iterations: int
+    work: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Motions:
     """Returns at values, and at the corners of uncertain parameters."""
 
@@ -235,16 +259,17 @@ class _Motions:
 
 
 def _solved(
-    problem: Problem, here: _Motions, task: ProgramTask, rules: _Rules
-) -> tuple[tuple[Period, ...], ElementSolution, int]:
+    problem: Problem, here: _Motions, task: ProgramTask, rules: _Rules, work: int
+) -> _Solved:
     """Write and solve the program of a round, with rows at places where it penetrates a stop.
 
-    Returns:
-        The periods, the solution, and the number of iterations.
+    Raises:
+        SimulationError: If the work is used up.
     """
     dips: list[tuple[int, int, float, int]] = []
     guess: Array | None = None
-    iterations = 0
+    iterations = spent = 0
+    solution: ElementSolution | None = None
     settings = _FIRST if rules.number == 0 else _LATER
     for _ in range(_MOST_CUTS):
         periods, program = _written(problem, here, task, rules, dips)
@@ -256,15 +281,24 @@ def _solved(
             program = replace(program, guess=start)
         # Many barriers would otherwise outweigh the objective.
         barrier = settings.first_barrier * min(1.0, _BARRIERS / max(program.n_inequalities, 1))
-        solution = program.solve(replace(settings, first_barrier=barrier))
+        size = len(program.guess) + program.n_inequalities
+        most = min(settings.most_iterations, (work - spent) // size)
+        if most < 1:
+            break
+        solution = program.solve(
+            replace(settings, first_barrier=barrier, most_iterations=int(most))
+        )
         iterations += solution.iterations
+        spent += solution.iterations * size
         if not np.all(np.isfinite(solution.unknowns)):
             break
         found = dips_of(periods, solution.unknowns) if rules.has_contacts else []
         if not found:
             break
         dips, guess, settings = dips + found, solution.unknowns, _LATER
-    return periods, solution, iterations
+    if solution is None:
+        raise SimulationError(_EXHAUSTED, time=here.found.period, state=tuple(here.found.start))
+    return _Solved(periods=periods, solution=solution, iterations=iterations, work=spent)
 
 
 def _written(
@@ -279,7 +313,8 @@ def _written(
     graph = problem.graph_dynamics(here.values)
     box = _box(here, task, rules.half)
     free = dict(zip(task.free, free_places(builder, graph, box).tolist(), strict=True))
-    mesh = _FINE if moves_marks(task.objective, task.bounds, graph) else _MESH
+    is_fine = (rules.has_contacts and task.is_measured) or moves_marks(task.objective, task.bounds, graph)
+    mesh = _FINE if is_fine else _MESH
     writing = WriterSettings(mesh=mesh, backward=_BACKWARD if rules.number < _FORWARD else 0.0)
     pairs = [(here.values, here.found)]
     pairs += [
@@ -298,7 +333,7 @@ def _written(
         for values, found in pairs
     )
     terms = SearchTerms(periods=periods, free=free)
-    if not task.objective.quantities and not task.objective.is_sampled:
+    if not task.is_measured:
         terms.nearest(task.origin, task.units, task.objective.goal)
     terms.aim(task.objective, is_wish=rules.is_wish)
     for bound in task.bounds:
@@ -446,12 +481,23 @@ def _agrees(here: _Motions, periods: Sequence[Period], solution: ElementSolution
     return True
 
 
-def _sequence(here: _Motions) -> list[tuple[str, ...]]:
-    """Return the event sequences of motions."""
+def _sequence(here: _Motions) -> list[list[str]]:
+    """Return the event sequences of motions. A faster impact begins another impact sequence."""
     return [
-        sequence_of([orbit_event_name(event) for event in found.events])
+        [
+            orbit_event_name(event)
+            for before, event in zip((None, *found.events), found.events, strict=False)
+            if not _is_slower(before, event)
+        ]
         for found in (here.found, *here.corners)
     ]
+
+
+def _is_slower(before: Event | None, event: Event) -> bool:
+    """Return True for an impact that follows a faster one on the same stop."""
+    if not (isinstance(before, Impact) and isinstance(event, Impact)):
+        return False
+    return before.stop == event.stop and event.approach_rate > before.approach_rate
 
 
 def _moved(task: ProgramTask, before: ParameterValues, after: ParameterValues) -> float:

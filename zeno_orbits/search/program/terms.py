@@ -53,8 +53,8 @@ _SAMPLES = 12
 """Samples of an interval in which extremes are looked for."""
 _WISH = 2e3
 """Weight of a target that is a wish: a deviation of 3 % counts as much as all free values."""
-_DIP = 1e-9
-"""Gap below which a stop is penetrated between stages, in units of its scale."""
+_CLEAR = 1e-7
+"""Gap that a stop keeps between stages, in units of its scale. A simulation tells it from none."""
 
 
 def refusal(graph: GraphDynamics, objective: Objective, bounds: Sequence[Bound]) -> str:
@@ -526,7 +526,13 @@ class SearchTerms:
             element = period.machine.contact(places.leg.mode, stop)
             size = period.graph.view(places.leg.mode, stop).own.gap
             out = _at_states(period, element, state[:, None])
-            period.builder.rows("gap between stages", outputs=[(out, 1.0)], size=size, upper=math.inf)
+            period.builder.rows(
+                "gap between stages",
+                outputs=[(out, 1.0)],
+                size=size,
+                lower=_CLEAR,
+                upper=math.inf,
+            )
 
     def _keep_contact(self, period: Period, places: LegPlaces, stop: int) -> None:
         leg, n, builder = places.leg, period.machine.n_x, period.builder
@@ -590,7 +596,7 @@ def dips_of(periods: Sequence[Period], unknowns: Array) -> list[tuple[int, int, 
                 element = period.machine.contact(places.leg.mode, stop)
                 size = period.graph.view(places.leg.mode, stop).own.gap
                 gaps = values_of(element, states, free, period.graph.p) / size
-                low = (gaps[1:-1] < -_DIP) & (gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:])
+                low = (gaps[1:-1] < _CLEAR / 2) & (gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:])
                 at = fractions[1:-1][low]
                 found += [(number, k, float(one), stop) for one in at]
     return found
