@@ -133,6 +133,7 @@ from .search.events.outcome import EventSearchResult as EventSearchResult
 from .search.objectives import MinBounceTime as MinBounceTime
 from .search.objectives import MinImpactLoss as MinImpactLoss
 from .search.objectives import NearestGains as NearestGains
+from .search.settings import SearchMethod as SearchMethod
 from .search.objectives import TargetAmplitude as TargetAmplitude
 from .search.objectives import TargetPeriod as TargetPeriod
 from .search.objectives import MaxMargin as MaxMargin
@@ -216,6 +217,7 @@ __all__ = [
     "RigSettings",
     "Scatter",
     "ScatterSettings",
+    "SearchMethod",
     "SearchResult",
     "SearchSettings",
     "Sensors",

@@ -75,6 +75,8 @@ from .names import NAMES as NAMES
 from .names import meaning_of as meaning_of
 from .names import names_table as names_table
 from .settings import ENGINE_NAMES as ENGINE_NAMES
+from .settings import METHODS as METHODS
+from .settings import search_method as search_method
 from .settings import simulation_settings as simulation_settings
 from .settings import verification_settings as verification_settings
 from .studies import attractor_of as attractor_of

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from zeno_orbits.integrators import ENGINES, engine_named
 
 if TYPE_CHECKING:
+    from zeno_orbits.search import SearchMethod
     from zeno_orbits.simulation import SimulationSettings
     from zeno_orbits.verification import VerificationSettings
 
@@ -15,6 +16,21 @@ TOLERANCE = 1e-9
 
 ENGINE_NAMES = tuple(ENGINES)
 """Names of the integrators, the default first."""
+
+
+METHODS = ("auto", "program", "shooting")
+"""Names of the methods of a search, the default first."""
+
+
+def search_method(name: str) -> SearchMethod:
+    """Return the method of a search.
+
+    Args:
+        name: One of ``METHODS``.
+    """
+    from zeno_orbits.search import SearchMethod
+
+    return SearchMethod(name)
 
 
 def simulation_settings(engine: str | None = None) -> SimulationSettings:

@@ -45,11 +45,14 @@ _VERIFY = {
 def asks_for_events(options: argparse.Namespace) -> bool:
     """Return True if a wish needs an orbit of events: a bound such as ``stop.impact_speed``.
 
+    A chosen method also needs it.
+
     Args:
         options: The command line.
     """
     words = (*_ABOUT_IMPACTS, *(_OVER_RANGES if options.uncertain else ()))
     about = options.objective is not None and options.objective.word in words
+    about |= options.method is not None
     return about or any("." in name for name in options.bounds)
 
 
@@ -71,6 +74,7 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
     _refuse(options, _SEARCH)
     require_outputs(options, {"output": JSON})
     varies = options.vary or options.objective or options.bounds or options.uncertain
+    varies = varies or options.method
     if varies or options.candidates > 1:
         return _search_gains(options, problem, varies=bool(varies))
     with report.ProgressLine(options.interrupts.check) as progress:
@@ -123,6 +127,7 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
             n_starts=options.starts,
             seed=options.seed,
             candidates=options.candidates,
+            method=None if options.method is None else api.search_method(options.method),
             allow_unstable=options.allow_unstable,
             settings=api.simulation_settings(options.engine),
             on_progress=progress,

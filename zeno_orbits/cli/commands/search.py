@@ -63,6 +63,8 @@ def add_search(commands: Any) -> None:
             "zeno-orbits search motor_pendulum --set Kp=2.5 --vary Kd=-1.05:-0.95 "
             "--objective push --n-starts 1",
             "zeno-orbits search relay --vary U=20:24 --objective impacts=closed",
+            "zeno-orbits search clapper --vary omega=0.2:0.4 --objective period=24 "
+            "--method program",
         ],
     )
     add_problem(parser)
@@ -75,6 +77,7 @@ def add_search(commands: Any) -> None:
         type=read_range,
     )
     _add_choice(parser)
+    _add_method(parser)
     _add_motion(parser)
     parser.add_argument(
         "--candidates",
@@ -115,6 +118,18 @@ def _add_choice(parser: argparse.ArgumentParser) -> None:
         "a quantity of an event, such as STOP.impact_speed (repeatable)",
         action=Named,
         type=read_bound,
+    )
+
+
+def _add_method(parser: argparse.ArgumentParser) -> None:
+    """Add the option that chooses between the program and shooting."""
+    add_shared(
+        parser,
+        "method",
+        f", one of {', '.join(api.METHODS)}: a nonlinear program, orbits that are closed by "
+        "simulation at every choice of the values, or the program with shooting as its check and "
+        "its substitute (default: auto; for one stop the search by phases, if it can)",
+        choices=api.METHODS,
     )
 
 

@@ -117,7 +117,10 @@ def print_event_search(result: EventSearchResult) -> None:
             ]
         )
     print_bounds(result.asked)
-    print_lines([f"Search: {counted(result.n_orbits, 'orbit')}."])
+    print_lines(result.remarks)
+    used = f", {counted(result.iterations, 'iteration')}" if result.iterations else ""
+    orbits = counted(result.n_orbits, "orbit")
+    print_lines([f"Search by {result.method.value}: {orbits}{used}."])
 
 
 def print_bounds(asked: Sequence[Mapping[str, Any]]) -> None:

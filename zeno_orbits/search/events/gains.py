@@ -506,7 +506,7 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
         return _told(task, first, _by_shooting(task, first))
     if lacking:
         raise InputError(
-            f"Argument `method` must be shooting or auto, but the program lacks {lacking}."
+            f"Argument `method` must be shooting or auto: a program does not have {lacking}."
         )
     return _by_program(task, first)
 
