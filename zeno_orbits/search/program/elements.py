@@ -59,21 +59,22 @@ class Element:
             constants: Symbols of the constants, ``(q,)``.
             outputs: The outputs, ``(r,)``.
         """
-        outputs = ca.densify(outputs)
-        weights = ca.SX.sym("weights", outputs.numel())
-        first: Any = ca.jacobian(outputs, column)
-        second: Any = ca.hessian(ca.dot(weights, outputs), column)[0]
+        dense: Any = ca.densify(outputs)
+        weights = ca.SX.sym("weights", dense.numel())
+        first: Any = ca.jacobian(dense, column)
+        second: Any = ca.hessian(ca.dot(weights, dense), column)[0]
         options = {"cse": True}
 
         def entries(matrix: Any) -> Any:
-            return ca.densify(ca.vertcat(*matrix.nonzeros())) if matrix.nnz() else ca.SX(0, 1)
+            nonzeros: Any = ca.vertcat(*matrix.nonzeros()) if matrix.nnz() else ca.SX(0, 1)
+            return ca.densify(nonzeros)
 
         def places(matrix: Any) -> Rows:
             return np.array(matrix.sparsity().get_triplet(), dtype=np.intp).reshape(2, -1)
 
         inputs = [column, constants]
         return cls(
-            values=ca.Function("values", inputs, [outputs], options),
+            values=ca.Function("values", inputs, [dense], options),
             jacobian=ca.Function("jacobian", inputs, [entries(first)], options),
             hessian=ca.Function("hessian", [*inputs, weights], [entries(second)], options),
             jacobian_at=places(first),
@@ -222,9 +223,7 @@ class ElementBuilder:
     _calls: dict[int, _Calls] = field(default_factory=dict[int, _Calls])
     _cost: dict[int, float] = field(default_factory=dict[int, float])
     _cost_of_outputs: dict[int, float] = field(default_factory=dict[int, float])
-    _squares: dict[int, tuple[float, float]] = field(
-        default_factory=dict[int, tuple[float, float]]
-    )
+    _squares: dict[int, tuple[float, float]] = field(default_factory=dict[int, tuple[float, float]])
 
     def unknowns(
         self, guess: ArrayLike, size: ArrayLike, lower: float = -np.inf, upper: float = np.inf
@@ -353,20 +352,21 @@ class ElementBuilder:
         at_outputs = ca.DM(_filled(self._cost_of_outputs, self._n_outputs))
         by_output = ca.densify(ca.mtimes(of_outputs.T, weights) + at_outputs * factor)
         phi, slopes, curvatures = self._evaluated(x, by_output)
-        rows = ca.mtimes(linear, x) + ca.mtimes(of_outputs, phi) + np.concatenate(self._constants)
-        unit = ca.diag(ca.DM(sizes))
-        jacobian = ca.mtimes(linear + ca.mtimes(of_outputs, slopes), unit)
+        rows: Any = (
+            ca.mtimes(linear, x) + ca.mtimes(of_outputs, phi) + np.concatenate(self._constants)
+        )
+        unit: Any = ca.diag(ca.DM(sizes))
+        sloped: Any = linear + ca.mtimes(of_outputs, slopes)
+        jacobian: Any = ca.mtimes(sloped, unit)
         cost, stiff = _filled(self._cost, self._n), np.zeros(self._n)
         wanted = np.zeros(self._n)
         for place, (weight, at) in self._squares.items():
             stiff[place], wanted[place] = weight, at
         off = x - ca.DM(wanted)
-        value = (
-            ca.dot(ca.DM(cost), x)
-            + ca.dot(at_outputs, phi)
-            + ca.dot(ca.DM(stiff), off * off) / 2
+        value: Any = (
+            ca.dot(ca.DM(cost), x) + ca.dot(at_outputs, phi) + ca.dot(ca.DM(stiff), off * off) / 2
         )
-        gradient = ca.mtimes(slopes.T, at_outputs) + ca.DM(cost) + ca.DM(stiff) * off
+        gradient: Any = ca.mtimes(slopes.T, at_outputs) + ca.DM(cost) + ca.DM(stiff) * off
         hessian = self._hessian(curvatures, sizes, stiff, factor)
         inputs = [z, nothing]
         return ElementProgram(
@@ -408,7 +408,8 @@ class ElementBuilder:
                     calls.columns[side].ravel(order="F") for side in element.hessian_at
                 )
                 curvatures.append((first, second, entries))
-        phi = ca.vertcat(*values)[np.argsort(np.concatenate(order)).tolist()]
+        joined: Any = ca.vertcat(*values)
+        phi = joined[np.argsort(np.concatenate(order)).tolist()]
         jacobian = _scattered(
             np.concatenate(at),
             np.concatenate(by),
@@ -466,8 +467,9 @@ def _scattered(rows: Rows, columns: Rows, entries: Any, shape: tuple[int, int]) 
     """Return a sparse matrix with given entries. Entries at the same place add up."""
     keys, inverse = np.unique(columns * shape[0] + rows, return_inverse=True)
     places = [(keys % shape[0]).tolist(), (keys // shape[0]).tolist()]
-    sparsity = ca.Sparsity.triplet(*shape, *places)
+    sparsity: Any = ca.Sparsity.triplet(*shape, *places)
     once: Any = ca.DM.triplet(
         inverse.tolist(), list(range(len(rows))), ca.DM.ones(len(rows)), len(keys), len(rows)
     )
-    return ca.MX(sparsity, ca.densify(ca.mtimes(once, entries)))
+    added: Any = ca.mtimes(once, entries)
+    return ca.MX(sparsity, ca.densify(added))

@@ -58,7 +58,7 @@ class Machine:
     def _element(self, key: tuple[object, ...], column: ca.SX, outputs: Any) -> Element:
         free, values, _ = self._values
         whole = ca.vertcat(column, free)
-        self._elements[key] = Element.of(whole, values, ca.vertcat(outputs))
+        self._elements[key] = Element.of(whole, values, outputs)
         return self._elements[key]
 
     def system(self, mode: GraphMode) -> tuple[CompiledSystem, bool]:
@@ -192,7 +192,7 @@ class Machine:
         law = system.law_at(p)
         bends = system.contact_at(rest, p).gap_acceleration
         time = tail_time(law.speed_after(rate), bends, law.restitution)
-        outputs = ca.vertcat(rest + time * system.locked.rate(rest, p), time)
+        outputs: Any = ca.vertcat(rest + time * system.locked.rate(rest, p), time)
         return self._element(key, ca.vertcat(y, w), outputs)
 
     def tail_work(self, leg: Leg) -> Element:
@@ -282,7 +282,6 @@ class Machine:
         x = ca.SX.sym("x", self.n_x)
         function = signal(self.system(mode)[0], name).function
         return self._element(key, x, function(x, self._values[2]))
-
 
     def times(self) -> Element | None:
         """Return ``(free,) -> distances of switching times``, ``None`` without a waveform."""

@@ -48,8 +48,8 @@ _MESH, _FINE = 3e-8, 1e-10
 _FORWARD = 4
 """Round from which all flows run forward."""
 _FIRST_BOX, _SMALLER, _LARGER = 0.25, 0.25, 2.0
-"""Half width of the first box of an objective that is measured on the orbit, in units of the ranges,
-and its factors after a program that is not solved, and after one that its sides hold."""
+"""Half width of the first box of a measured objective, in units of the ranges, and its factors
+after a program that is not solved, and after one that its sides hold."""
 _AT_SIDE = 1e-4
 """Distance from a side of a box, over its half width, at which it holds a value."""
 _MOST_FAILURES = 2
@@ -70,9 +70,7 @@ _STILL = 1e-9
 """Change of the free values, over their sizes, below which a round repeats the last one."""
 _VANISHED = 1e-6
 """Part of its guess below which the duration of a leg is zero."""
-_FIRST = IpoptSettings(
-    optimality=1e-10, first_barrier=0.1, most_iterations=100, most_seconds=1e9
-)
+_FIRST = IpoptSettings(optimality=1e-10, first_barrier=0.1, most_iterations=100, most_seconds=1e9)
 _LATER = replace(_FIRST, first_barrier=1e-3)
 
 
@@ -152,91 +150,124 @@ def orbit_by_program(
         SimulationError: If no round leads to an orbit.
     """
     settings = simulation or SimulationSettings()
-    here = _Motions(values=values, found=near, corners=tuple(corners))
-    best: ProgramOrbit | None = None
-    iterations, work, reason, n_failures = 0, _WORK, "", 0
-    is_wish, has_contacts = isinstance(task.objective, Target), False
-    is_measured = task.is_measured
-    half = _FIRST_BOX if is_measured else 1.0
-    for number in range(_MOST_ROUNDS):
+    state = _State(
+        here=_Motions(values=values, found=near, corners=tuple(corners)),
+        is_wish=isinstance(task.objective, Target),
+        half=_FIRST_BOX if task.is_measured else 1.0,
+    )
+    while not state.is_over and state.number < _MOST_ROUNDS:
         on_progress("solving the program", None)
-        is_wish &= number < _WISHES
-        rules = _Rules(number=number, is_wish=is_wish, has_contacts=has_contacts, half=half)
-        try:
-            solved = _solved(problem, here, task, rules, work)
-        except SimulationError as error:
-            reason = error.reason
-            break
-        written, solution = solved.periods, solved.solution
-        iterations += solved.iterations
-        work -= solved.work
-        reason = solution.status.value
-        if not solution.violation <= _KEPT:
-            n_failures += 1
-            if n_failures > _MOST_FAILURES or not np.all(np.isfinite(solution.unknowns)):
-                break
-            half *= _SMALLER if is_measured else 1.0
-            if is_measured:
-                continue
-        last, is_held = here, _is_held(here, task, half, solution.unknowns[written[0].free])
-        try:
-            here, is_closed = _simulated(problem, here, task, written, solution, settings)
-        except SimulationError as error:
-            reason, has_contacts = error.reason, is_measured or number >= _WISHES
-            try:
-                here = _halfway(problem, here, task, written, solution, settings)
-            except SimulationError:
-                break
-            continue
-        is_same = _sequence(here) == _sequence(last)
-        if is_measured and not is_same and not has_contacts:
-            # The solution may penetrate a stop, which rows along its legs prevent.
-            here, has_contacts = last, True
-            continue
-        agrees = is_closed and is_same and _agrees(here, written, solution)
-        has_contacts |= not agrees and (is_measured or number >= _WISHES)
-        if not is_closed:
-            continue
-        was_wish, is_wish = is_wish, is_wish and not agrees
-        agrees &= not was_wish
-        is_still = _moved(task, last.values, here.values) <= _STILL
-        is_still = (is_still or not _places_marks(task, written)) and not is_held
-        half = min(1.0, half * _LARGER) if is_held else half
-        best = ProgramOrbit(
-            values=here.values,
-            found=here.found,
-            corners=here.corners,
-            converged=agrees and is_still,
-            rounds=number + 1,
-            iterations=iterations,
-            detail="" if agrees and is_still else reason,
-        )
-        if best.converged:
-            return best
-    if best is None:
+        state = replace(_advanced(problem, task, state, settings), number=state.number + 1)
+    if state.best is None:
         raise SimulationError(
-            f"The program leads to no orbit: {reason.rstrip('.')}",
+            f"The program leads to no orbit: {state.reason.rstrip('.')}",
             time=near.period,
             state=tuple(near.start.tolist()),
         )
-    return best
+    return replace(state.best, rounds=state.number, iterations=state.iterations)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Rules:
-    """Rules of a round.
+class _State:
+    """A search after some rounds.
 
     Attributes:
-        number: Its number.
-        is_wish: Whether a target is a wish.
-        has_contacts: Whether stops are kept open or closed along the legs.
+        here: The motions that are the next guess.
+        number: Number of rounds so far.
+        is_wish: Whether a target is a wish in the next round.
+        has_contacts: Whether stops are then kept open or closed along the legs.
         half: Half width of the box of free values around the last ones, in units of the ranges.
+        work: Work that is left.
+        iterations: Iterations of Ipopt so far.
+        n_failures: Number of programs that were not solved.
+        best: The last orbit.
+        reason: Reason why the search has not converged.
+        is_over: Whether it has converged, or cannot go on.
     """
 
-    number: int
+    here: _Motions
+    number: int = 0
     is_wish: bool
-    has_contacts: bool
+    has_contacts: bool = False
     half: float
+    work: int = _WORK
+    iterations: int = 0
+    n_failures: int = 0
+    best: ProgramOrbit | None = None
+    reason: str = ""
+    is_over: bool = False
+
+
+def _advanced(
+    problem: Problem, task: ProgramTask, state: _State, settings: SimulationSettings
+) -> _State:
+    """Return a search after one more round: a program, and the motions from its solution."""
+    try:
+        solved = _solved(problem, task, state)
+    except SimulationError as error:
+        return replace(state, reason=error.reason, is_over=True)
+    solution = solved.solution
+    state = replace(
+        state,
+        iterations=state.iterations + solved.iterations,
+        work=state.work - solved.work,
+        reason=solution.status.value,
+    )
+    if not solution.violation <= _KEPT:
+        state = replace(state, n_failures=state.n_failures + 1)
+        if state.n_failures > _MOST_FAILURES or not np.all(np.isfinite(solution.unknowns)):
+            return replace(state, is_over=True)
+        if task.is_measured:
+            return replace(state, half=state.half * _SMALLER)
+    has_contacts = task.is_measured or state.number >= _WISHES
+    try:
+        here, is_closed = _simulated(problem, state.here, task, solved, settings)
+    except SimulationError as error:
+        state = replace(state, reason=error.reason, has_contacts=has_contacts)
+        try:
+            return replace(state, here=_halfway(problem, state.here, task, solved, settings))
+        except SimulationError:
+            return replace(state, is_over=True)
+    is_same = _sequence(here) == _sequence(state.here)
+    if task.is_measured and not is_same and not state.has_contacts:
+        # The solution may penetrate a stop, which rows along its legs prevent.
+        return replace(state, has_contacts=True)
+    agrees = is_closed and is_same and _agrees(here, solved)
+    moved = replace(
+        state, here=here, has_contacts=state.has_contacts or (not agrees and has_contacts)
+    )
+    return _judged(task, state, moved, solved, agrees=agrees) if is_closed else moved
+
+
+def _judged(
+    task: ProgramTask, before: _State, state: _State, solved: _Solved, *, agrees: bool
+) -> _State:
+    """Return a search with the orbit of a round, and with the rules of the next one.
+
+    Args:
+        task: Objective and bounds.
+        before: The search before the round.
+        state: The search at the orbit.
+        solved: The program of the round.
+        agrees: Whether the program has the orbit.
+    """
+    own = solved.periods[0]
+    is_held = _is_held(before.here, task, before.half, solved.solution.unknowns[own.free])
+    is_still = _moved(task, before.here.values, state.here.values) <= _STILL
+    is_still |= not moves_marks(task.objective, task.bounds, own.graph)
+    converged = agrees and is_still and not is_held and not before.is_wish
+    best = ProgramOrbit(
+        values=state.here.values,
+        found=state.here.found,
+        corners=state.here.corners,
+        converged=converged,
+        rounds=0,
+        iterations=0,
+        detail="" if converged else state.reason,
+    )
+    is_wish = before.is_wish and not agrees and state.number + 1 < _WISHES
+    half = min(1.0, state.half * _LARGER) if is_held else state.half
+    return replace(state, best=best, is_wish=is_wish, half=half, is_over=converged)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -258,23 +289,21 @@ class _Motions:
     corners: tuple[EventReturn, ...]
 
 
-def _solved(
-    problem: Problem, here: _Motions, task: ProgramTask, rules: _Rules, work: int
-) -> _Solved:
+def _solved(problem: Problem, task: ProgramTask, state: _State) -> _Solved:
     """Write and solve the program of a round, with rows at places where it penetrates a stop.
 
     Raises:
         SimulationError: If the work is used up.
     """
     dips: list[tuple[int, int, float, int]] = []
-    guess: Array | None = None
+    last: _Solved | None = None
+    settings = _FIRST if state.number == 0 else _LATER
     iterations = spent = 0
-    solution: ElementSolution | None = None
-    settings = _FIRST if rules.number == 0 else _LATER
     for _ in range(_MOST_CUTS):
-        periods, program = _written(problem, here, task, rules, dips)
-        if guess is not None:
+        periods, program = _written(problem, task, state, dips)
+        if last is not None:
             # Unknowns of further places come last.
+            guess = last.solution.unknowns
             kept = min(len(guess), len(program.guess))
             start = program.guess.copy()
             start[:kept] = guess[:kept] / program.sizes[:kept]
@@ -282,40 +311,42 @@ def _solved(
         # Many barriers would otherwise outweigh the objective.
         barrier = settings.first_barrier * min(1.0, _BARRIERS / max(program.n_inequalities, 1))
         size = len(program.guess) + program.n_inequalities
-        most = min(settings.most_iterations, (work - spent) // size)
+        most = min(settings.most_iterations, (state.work - spent) // size)
         if most < 1:
             break
-        solution = program.solve(
-            replace(settings, first_barrier=barrier, most_iterations=int(most))
-        )
+        limited = replace(settings, first_barrier=barrier, most_iterations=most)
+        solution = program.solve(limited)
         iterations += solution.iterations
         spent += solution.iterations * size
-        if not np.all(np.isfinite(solution.unknowns)):
+        last = _Solved(periods=periods, solution=solution, iterations=iterations, work=spent)
+        if not state.has_contacts or not np.all(np.isfinite(solution.unknowns)):
             break
-        found = dips_of(periods, solution.unknowns) if rules.has_contacts else []
+        found = dips_of(periods, solution.unknowns)
         if not found:
             break
-        dips, guess, settings = dips + found, solution.unknowns, _LATER
-    if solution is None:
-        raise SimulationError(_EXHAUSTED, time=here.found.period, state=tuple(here.found.start))
-    return _Solved(periods=periods, solution=solution, iterations=iterations, work=spent)
+        dips, settings = dips + found, _LATER
+    if last is None:
+        here = state.here.found
+        raise SimulationError(_EXHAUSTED, time=here.period, state=tuple(here.start.tolist()))
+    return last
 
 
 def _written(
     problem: Problem,
-    here: _Motions,
     task: ProgramTask,
-    rules: _Rules,
+    state: _State,
     dips: Sequence[tuple[int, int, float, int]],
 ) -> tuple[tuple[Period, ...], ElementProgram]:
     """Return the periods of a round, and their program."""
-    builder = ElementBuilder()
+    builder, here = ElementBuilder(), state.here
     graph = problem.graph_dynamics(here.values)
-    box = _box(here, task, rules.half)
+    box = _box(here, task, state.half)
     free = dict(zip(task.free, free_places(builder, graph, box).tolist(), strict=True))
-    is_fine = (rules.has_contacts and task.is_measured) or moves_marks(task.objective, task.bounds, graph)
+    is_fine = (state.has_contacts and task.is_measured) or moves_marks(
+        task.objective, task.bounds, graph
+    )
     mesh = _FINE if is_fine else _MESH
-    writing = WriterSettings(mesh=mesh, backward=_BACKWARD if rules.number < _FORWARD else 0.0)
+    writing = WriterSettings(mesh=mesh, backward=_BACKWARD if state.number < _FORWARD else 0.0)
     pairs = [(here.values, here.found)]
     pairs += [
         (here.values.replaced(corner), found)
@@ -335,10 +366,10 @@ def _written(
     terms = SearchTerms(periods=periods, free=free)
     if not task.is_measured:
         terms.nearest(task.origin, task.units, task.objective.goal)
-    terms.aim(task.objective, is_wish=rules.is_wish)
+    terms.aim(task.objective, is_wish=state.is_wish)
     for bound in task.bounds:
         terms.keep(bound, task.sizes[bound.name])
-    if rules.has_contacts:
+    if state.has_contacts:
         terms.keep_contacts(dips)
     return periods, builder.built()
 
@@ -379,8 +410,7 @@ def _simulated(
     problem: Problem,
     here: _Motions,
     task: ProgramTask,
-    periods: Sequence[Period],
-    solution: ElementSolution,
+    solved: _Solved,
     settings: SimulationSettings,
 ) -> tuple[_Motions, bool]:
     """Return the motions from the starts of a solution, and whether all are closed.
@@ -388,11 +418,11 @@ def _simulated(
     Raises:
         SimulationError: If a motion does not return.
     """
-    z = solution.unknowns
+    z, periods = solved.solution.unknowns, solved.periods
     values = _values_at(here.values, task, z[periods[0].free].tolist())
     motions: list[EventReturn] = []
     is_closed = True
-    corners = ({}, *task.corners)
+    corners: tuple[Mapping[str, float], ...] = ({}, *task.corners)
     for period, corner, last in zip(periods, corners, (here.found, *here.corners), strict=True):
         start, time = z[period.legs[0].start], float(z[period.period])
         at = values.replaced(corner) if corner else values
@@ -433,8 +463,7 @@ def _halfway(
     problem: Problem,
     here: _Motions,
     task: ProgramTask,
-    periods: Sequence[Period],
-    solution: ElementSolution,
+    solved: _Solved,
     settings: SimulationSettings,
 ) -> _Motions:
     """Return the motions from the last starts, at values halfway to those of a solution.
@@ -442,12 +471,13 @@ def _halfway(
     Raises:
         SimulationError: If a motion does not return.
     """
-    wanted = solution.unknowns[periods[0].free].tolist()
+    wanted = solved.solution.unknowns[solved.periods[0].free].tolist()
     numbers = [
         (here.values.number(name) + number) / 2
         for name, number in zip(task.free, wanted, strict=True)
     ]
     values = _values_at(here.values, task, numbers)
+    corners: tuple[Mapping[str, float], ...] = ({}, *task.corners)
     motions = [
         _return(
             problem,
@@ -458,19 +488,20 @@ def _halfway(
             settings,
             is_closed=False,
         )
-        for corner, last in zip(({}, *task.corners), (here.found, *here.corners), strict=True)
+        for corner, last in zip(corners, (here.found, *here.corners), strict=True)
     ]
     return _Motions(values=values, found=motions[0], corners=tuple(motions[1:]))
 
 
-def _agrees(here: _Motions, periods: Sequence[Period], solution: ElementSolution) -> bool:
+def _agrees(here: _Motions, solved: _Solved) -> bool:
     """Return True if a solved program has the simulated orbits."""
+    solution = solved.solution
     if solution.status not in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE):
         return False
     if solution.violation > _KEPT:
         return False
     z = solution.unknowns
-    for period, found in zip(periods, (here.found, *here.corners), strict=True):
+    for period, found in zip(solved.periods, (here.found, *here.corners), strict=True):
         if any(z[one.duration] <= _VANISHED * one.leg.duration for one in period.legs):
             return False
         sizes = largest_states(found.execution.arcs, period.graph)
@@ -506,7 +537,3 @@ def _moved(task: ProgramTask, before: ParameterValues, after: ParameterValues) -
         abs(after.number(name) - before.number(name)) / task.units[name] for name in task.free
     ]
     return max(changes, default=0.0) if all(map(math.isfinite, changes)) else math.inf
-
-
-def _places_marks(task: ProgramTask, periods: Sequence[Period]) -> bool:
-    return moves_marks(task.objective, task.bounds, periods[0].graph)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -30,7 +31,6 @@ from zeno_orbits.search.objectives import (
     Target,
     TargetAmplitude,
     TargetPeriod,
-    WorstCase,
 )
 from zeno_orbits.search.program.elements import Element, Terms
 from zeno_orbits.search.program.formulas import FALL
@@ -172,7 +172,7 @@ def sampled(period: Period, places: LegPlaces, unknowns: Array) -> tuple[Array, 
     basis = np.array([lagrange_basis(nodes, float(at)) for at in inner])
     fractions: list[Array] = []
     states: list[Array] = []
-    for i, (low, high) in enumerate(zip(mesh[:-1], mesh[1:], strict=True)):
+    for i, (low, high) in enumerate(pairwise(mesh.tolist())):
         first = places.start if i == 0 else places.stages[:n, i * s - 1]
         columns = np.column_stack([first, places.stages[:n, i * s : (i + 1) * s]])
         fractions.append(low + inner * (high - low))
@@ -250,9 +250,7 @@ class SearchTerms:
             reached = self._summed(self._own, {self._own.period: 1.0}, {})
         linear, outputs = reached.terms()
         if not is_wish:
-            builder.rows(
-                "target", linear=linear, outputs=outputs, constant=-target, size=target
-            )
+            builder.rows("target", linear=linear, outputs=outputs, constant=-target, size=target)
             return
         off = builder.unknowns([reached.guess], target)
         builder.rows("wish", linear=[*linear, (off, -1.0)], outputs=outputs, size=target)
@@ -461,15 +459,9 @@ class SearchTerms:
             found.append(float(refined.x))
         return found
 
-    def _everywhere(
-        self, period: Period, name: str
-    ) -> list[tuple[list[Terms], list[Terms]]]:
+    def _everywhere(self, period: Period, name: str) -> list[tuple[list[Terms], list[Terms]]]:
         """Return the terms of a signal at all stages, starts of legs and extremes."""
-        return [
-            terms
-            for places in period.legs
-            for terms in self._along(period, places, name)
-        ]
+        return [terms for places in period.legs for terms in self._along(period, places, name)]
 
     def _along(
         self, period: Period, places: LegPlaces, name: str
@@ -499,9 +491,7 @@ class SearchTerms:
         guess = builder.value(mark.columns) @ mark.weights
         state = builder.unknowns(guess, sizes)
         linear: list[Terms] = [(state, -1.0)]
-        linear += [
-            (mark.columns[:, k], weight) for k, weight in enumerate(mark.weights.tolist())
-        ]
+        linear += [(mark.columns[:, k], weight) for k, weight in enumerate(mark.weights.tolist())]
         builder.rows("state between stages", linear=linear, size=sizes)
         return state
 
@@ -596,7 +586,9 @@ def dips_of(periods: Sequence[Period], unknowns: Array) -> list[tuple[int, int, 
                 element = period.machine.contact(places.leg.mode, stop)
                 size = period.graph.view(places.leg.mode, stop).own.gap
                 gaps = values_of(element, states, free, period.graph.p) / size
-                low = (gaps[1:-1] < _CLEAR / 2) & (gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:])
+                low = (
+                    (gaps[1:-1] < _CLEAR / 2) & (gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:])
+                )
                 at = fractions[1:-1][low]
                 found += [(number, k, float(one), stop) for one in at]
     return found

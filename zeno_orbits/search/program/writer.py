@@ -329,9 +329,7 @@ class _Writer:
         leg, event, n = places.leg, places.event, self._n
         following = legs[(k + 1) % len(legs)]
         size = self._guard_size(places)
-        builder.rows(
-            f"guard of {leg.ending.value}", outputs=[(event[[GUARD]], 1.0)], size=size
-        )
+        builder.rows(f"guard of {leg.ending.value}", outputs=[(event[[GUARD]], 1.0)], size=size)
         builder.rows(
             f"fall at {leg.ending.value}",
             outputs=[(event[[FALL]], 1.0)],
@@ -445,8 +443,7 @@ class _Writer:
             linear, outputs = after.terms()
             places, is_linear = (linear or outputs)[0][0], bool(linear)
             added: list[Terms] = [
-                (np.array([place]), weight)
-                for place, weight in zip(places, weights, strict=True)
+                (np.array([place]), weight) for place, weight in zip(places, weights, strict=True)
             ]
             back: list[Terms] = [
                 (np.array([place]), -weight)
