@@ -34,6 +34,9 @@ from .outcome import Verdict as Verdict
 from .outcome import OrbitNotFoundError as OrbitNotFoundError
 from .outcome import SearchResult as SearchResult
 from .outcome import StartAttempt as StartAttempt
+from .program.rounds import ProgramOrbit as ProgramOrbit
+from .program.rounds import ProgramTask as ProgramTask
+from .program.rounds import orbit_by_program as orbit_by_program
 from .search import orbit_at_gains as orbit_at_gains
 from .search import search_orbits as search_orbits
 from .settings import SearchSettings as SearchSettings

@@ -28,6 +28,9 @@ from numpy.typing import ArrayLike
 from zeno_orbits.arrays import Array, Rows
 from zeno_orbits.search.transcription.ipopt import IpoptSettings, SolveStatus, quiet_interrupts
 
+_ca: Any = ca
+"""CasADi without types, for expressions of mixed kinds, which its stubs do not follow."""
+
 Terms = tuple[Rows, ArrayLike]
 """Places of unknowns or outputs, ``(m,)``, and their weights in as many rows."""
 
@@ -59,15 +62,15 @@ class Element:
             constants: Symbols of the constants, ``(q,)``.
             outputs: The outputs, ``(r,)``.
         """
-        dense: Any = ca.densify(outputs)
+        dense = _ca.densify(outputs)
         weights = ca.SX.sym("weights", dense.numel())
-        first: Any = ca.jacobian(dense, column)
-        second: Any = ca.hessian(ca.dot(weights, dense), column)[0]
+        first = _ca.jacobian(dense, column)
+        second = _ca.hessian(_ca.dot(weights, dense), column)[0]
         options = {"cse": True}
 
         def entries(matrix: Any) -> Any:
-            nonzeros: Any = ca.vertcat(*matrix.nonzeros()) if matrix.nnz() else ca.SX(0, 1)
-            return ca.densify(nonzeros)
+            nonzeros = _ca.vertcat(*matrix.nonzeros()) if matrix.nnz() else ca.SX(0, 1)
+            return _ca.densify(nonzeros)
 
         def places(matrix: Any) -> Rows:
             return np.array(matrix.sparsity().get_triplet(), dtype=np.intp).reshape(2, -1)
@@ -143,7 +146,7 @@ class ElementProgram:
             KeyboardInterrupt: If the user interrupts. Ipopt alone would suppress the interrupt.
         """
         options = settings.as_casadi() | dict(self.derivatives)
-        solver: Any = ca.nlpsol("orbit", "ipopt", dict(self.functions), options)
+        solver = _ca.nlpsol("orbit", "ipopt", dict(self.functions), options)
         started = time.perf_counter()
         with quiet_interrupts():
             answer = solver(
@@ -350,23 +353,23 @@ class ElementBuilder:
         linear = _sparse(self._linear, (self._n_rows, self._n))
         of_outputs = _sparse(self._of_outputs, (self._n_rows, self._n_outputs))
         at_outputs = ca.DM(_filled(self._cost_of_outputs, self._n_outputs))
-        by_output = ca.densify(ca.mtimes(of_outputs.T, weights) + at_outputs * factor)
+        by_output = _ca.densify(_ca.mtimes(of_outputs.T, weights) + at_outputs * factor)
         phi, slopes, curvatures = self._evaluated(x, by_output)
-        rows: Any = (
-            ca.mtimes(linear, x) + ca.mtimes(of_outputs, phi) + np.concatenate(self._constants)
-        )
-        unit: Any = ca.diag(ca.DM(sizes))
-        sloped: Any = linear + ca.mtimes(of_outputs, slopes)
-        jacobian: Any = ca.mtimes(sloped, unit)
+        rows = _ca.mtimes(linear, x) + _ca.mtimes(of_outputs, phi) + np.concatenate(self._constants)
+        unit = _ca.diag(ca.DM(sizes))
+        sloped = linear + _ca.mtimes(of_outputs, slopes)
+        jacobian = _ca.mtimes(sloped, unit)
         cost, stiff = _filled(self._cost, self._n), np.zeros(self._n)
         wanted = np.zeros(self._n)
         for place, (weight, at) in self._squares.items():
             stiff[place], wanted[place] = weight, at
         off = x - ca.DM(wanted)
-        value: Any = (
-            ca.dot(ca.DM(cost), x) + ca.dot(at_outputs, phi) + ca.dot(ca.DM(stiff), off * off) / 2
+        value = (
+            _ca.dot(ca.DM(cost), x)
+            + _ca.dot(at_outputs, phi)
+            + _ca.dot(ca.DM(stiff), off * off) / 2
         )
-        gradient: Any = ca.mtimes(slopes.T, at_outputs) + ca.DM(cost) + ca.DM(stiff) * off
+        gradient = _ca.mtimes(slopes.T, at_outputs) + ca.DM(cost) + ca.DM(stiff) * off
         hessian = self._hessian(curvatures, sizes, stiff, factor)
         inputs = [z, nothing]
         return ElementProgram(
@@ -393,27 +396,27 @@ class ElementBuilder:
         curvatures: list[tuple[Rows, Rows, Any]] = []
         for calls in self._calls.values():
             element, n = calls.element, calls.columns.shape[1]
-            columns = ca.reshape(x[_listed(calls.columns)], len(calls.columns), n)
+            columns = _ca.reshape(x[_listed(calls.columns)], len(calls.columns), n)
             constants = ca.DM(calls.constants)
-            values.append(ca.vec(element.values.map(n)(columns, constants)))
+            values.append(_ca.vec(element.values.map(n)(columns, constants)))
             order.append(calls.outputs.ravel(order="F"))
             if element.jacobian_at.size:
-                slopes.append(ca.vec(element.jacobian.map(n)(columns, constants)))
+                slopes.append(_ca.vec(element.jacobian.map(n)(columns, constants)))
                 at.append(calls.outputs[element.jacobian_at[0]].ravel(order="F"))
                 by.append(calls.columns[element.jacobian_at[1]].ravel(order="F"))
             if element.hessian_at.size:
-                own = ca.reshape(weights[_listed(calls.outputs)], element.n_outputs, n)
-                entries = ca.vec(element.hessian.map(n)(columns, constants, own))
+                own = _ca.reshape(weights[_listed(calls.outputs)], element.n_outputs, n)
+                entries = _ca.vec(element.hessian.map(n)(columns, constants, own))
                 first, second = (
                     calls.columns[side].ravel(order="F") for side in element.hessian_at
                 )
                 curvatures.append((first, second, entries))
-        joined: Any = ca.vertcat(*values)
+        joined = _ca.vertcat(*values)
         phi = joined[np.argsort(np.concatenate(order)).tolist()]
         jacobian = _scattered(
             np.concatenate(at),
             np.concatenate(by),
-            ca.vertcat(*slopes),
+            _ca.vertcat(*slopes),
             (self._n_outputs, self._n),
         )
         return phi, jacobian, curvatures
@@ -439,7 +442,7 @@ class ElementBuilder:
         shape = (self._n, self._n)
         if not entries:
             return ca.MX(*shape)
-        return _scattered(np.concatenate(at), np.concatenate(by), ca.vertcat(*entries), shape)
+        return _scattered(np.concatenate(at), np.concatenate(by), _ca.vertcat(*entries), shape)
 
 
 def _filled(entries: Mapping[int, float], n: int) -> Array:
@@ -460,16 +463,16 @@ def _sparse(parts: Sequence[tuple[Rows, Rows, Array]], shape: tuple[int, int]) -
     if not parts:
         return ca.DM(*shape)
     rows, columns, values = (np.concatenate(list(one)) for one in zip(*parts, strict=True))
-    return ca.DM.triplet(rows.tolist(), columns.tolist(), ca.DM(values), *shape)
+    return _ca.DM.triplet(rows.tolist(), columns.tolist(), ca.DM(values), *shape)
 
 
 def _scattered(rows: Rows, columns: Rows, entries: Any, shape: tuple[int, int]) -> Any:
     """Return a sparse matrix with given entries. Entries at the same place add up."""
     keys, inverse = np.unique(columns * shape[0] + rows, return_inverse=True)
     places = [(keys % shape[0]).tolist(), (keys // shape[0]).tolist()]
-    sparsity: Any = ca.Sparsity.triplet(*shape, *places)
-    once: Any = ca.DM.triplet(
+    sparsity = _ca.Sparsity.triplet(*shape, *places)
+    once = _ca.DM.triplet(
         inverse.tolist(), list(range(len(rows))), ca.DM.ones(len(rows)), len(keys), len(rows)
     )
-    added: Any = ca.mtimes(once, entries)
-    return ca.MX(sparsity, ca.densify(added))
+    added = _ca.mtimes(once, entries)
+    return _ca.MX(sparsity, _ca.densify(added))

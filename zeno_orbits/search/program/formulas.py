@@ -192,8 +192,8 @@ class Machine:
         law = system.law_at(p)
         bends = system.contact_at(rest, p).gap_acceleration
         time = tail_time(law.speed_after(rate), bends, law.restitution)
-        outputs: Any = ca.vertcat(rest + time * system.locked.rate(rest, p), time)
-        return self._element(key, ca.vertcat(y, w), outputs)
+        outputs = [rest + time * system.locked.rate(rest, p), time]
+        return self._element(key, ca.vertcat(y, w), ca.vertcat(*outputs))
 
     def tail_work(self, leg: Leg) -> Element:
         """Return ``(y, w, x after the tail, its time, free) -> electrical work in the tail``.

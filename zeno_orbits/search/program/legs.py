@@ -97,15 +97,15 @@ class Leg:
         if self._is_one_flow:
             arc = self.pieces[0]
             return arc.flow_states_at(np.clip(fractions, 0.0, 1.0) * arc.duration)
-        spans = self.spans
-        ends = np.cumsum(spans)
-        times = np.clip(fractions, 0.0, 1.0) * ends[-1]
-        at = np.minimum(np.searchsorted(ends, times), len(ends) - 1)
+        spans = self.spans.tolist()
+        times = np.clip(fractions, 0.0, 1.0) * sum(spans)
         states = np.empty((len(times), len(self.pieces[0].start_state)))
-        for place in set[int](at.tolist()):
-            own, arc = at == place, self.pieces[place]
-            offsets = times[own] - (ends[place] - spans[place])
-            states[own] = arc.states_at(arc.start_time + offsets)
+        begin = 0.0
+        for arc, span in zip(self.pieces, spans, strict=True):
+            # The end of the last arc may be rounded.
+            own = times >= begin
+            states[own] = arc.states_at(arc.start_time + times[own] - begin)
+            begin += span
         if self.stop is None:
             return states
         view = graph.view(self.mode, self.stop)

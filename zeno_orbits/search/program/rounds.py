@@ -110,6 +110,7 @@ class ProgramOrbit:
         values: Its values.
         found: The orbit, closed by simulation.
         corners: The orbits at the corners of uncertain parameters.
+        miss: Largest relative distance of the program's starts and periods from these orbits.
         converged: Whether the program is solved there, and is left unchanged by one more round.
         rounds: Number of rounds.
         iterations: Number of iterations of Ipopt in all rounds.
@@ -119,6 +120,7 @@ class ProgramOrbit:
     values: ParameterValues
     found: EventReturn
     corners: tuple[EventReturn, ...]
+    miss: float = math.inf
     converged: bool
     rounds: int
     iterations: int
@@ -232,11 +234,15 @@ def _advanced(
     if task.is_measured and not is_same and not state.has_contacts:
         # The solution may penetrate a stop, which rows along its legs prevent.
         return replace(state, has_contacts=True)
-    agrees = is_closed and is_same and _agrees(here, solved)
+    miss = _miss(here, solved)
+    agrees = is_closed and is_same and _agrees(solved, miss)
     moved = replace(
         state, here=here, has_contacts=state.has_contacts or (not agrees and has_contacts)
     )
-    return _judged(task, state, moved, solved, agrees=agrees) if is_closed else moved
+    if not is_closed:
+        return moved
+    judged = _judged(task, state, moved, solved, agrees=agrees)
+    return judged if judged.best is None else replace(judged, best=replace(judged.best, miss=miss))
 
 
 def _judged(
@@ -493,23 +499,30 @@ def _halfway(
     return _Motions(values=values, found=motions[0], corners=tuple(motions[1:]))
 
 
-def _agrees(here: _Motions, solved: _Solved) -> bool:
-    """Return True if a solved program has the simulated orbits."""
+def _agrees(solved: _Solved, miss: float) -> bool:
+    """Return True if a solved program has the simulated orbits, from which it is so far away."""
     solution = solved.solution
-    if solution.status not in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE):
-        return False
-    if solution.violation > _KEPT:
-        return False
-    z = solution.unknowns
+    return (
+        solution.status in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE)
+        and solution.violation <= _KEPT
+        and miss <= _SAME
+        and not any(
+            solution.unknowns[one.duration] <= _VANISHED * one.leg.duration
+            for period in solved.periods
+            for one in period.legs
+        )
+    )
+
+
+def _miss(here: _Motions, solved: _Solved) -> float:
+    """Return the largest relative distance of starts and periods of a program from motions."""
+    z, worst = solved.solution.unknowns, 0.0
     for period, found in zip(solved.periods, (here.found, *here.corners), strict=True):
-        if any(z[one.duration] <= _VANISHED * one.leg.duration for one in period.legs):
-            return False
         sizes = largest_states(found.execution.arcs, period.graph)
         off = np.abs(z[period.legs[0].start] - found.start) / sizes
         longer = abs(float(z[period.period]) / found.period - 1.0)
-        if not max(float(np.max(off)), longer) <= _SAME:
-            return False
-    return True
+        worst = max(worst, float(np.max(off)), longer)
+    return worst
 
 
 def _sequence(here: _Motions) -> list[list[str]]:
