@@ -499,12 +499,10 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
         return _strongest(task, first)
     if isinstance(task.objective, MaxMargin):
         return _widest(task, first)
-    if not task.free:
+    is_best = isinstance(task.objective, NearestGains) and first.rank == (0.0, 0.0)
+    if task.method is not SearchMethod.PROGRAM and (is_best or not task.free):
         return _told(task, first, Optimum(trial=first, converged=True))
     lacking = refusal(first.points[0].graph, task.objective, task.bounds)
-    is_best = isinstance(task.objective, NearestGains) and first.rank == (0.0, 0.0)
-    if is_best and not lacking:
-        return _told(task, first, Optimum(trial=first, converged=True))
     if task.method is SearchMethod.SHOOTING or (lacking and task.method is SearchMethod.AUTO):
         return _told(task, first, _by_shooting(task, first))
     if lacking:

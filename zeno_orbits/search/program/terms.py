@@ -357,6 +357,15 @@ class SearchTerms:
                     upper=bound.upper / size,
                 )
 
+    def measured(self, period: Period, name: str) -> list[float]:
+        """Return the values of a quantity at the guess, in order of time.
+
+        Args:
+            period: The period.
+            name: The period, the energy or a quantity of an event.
+        """
+        return [one.guess for one in self._bounded(period, name)]
+
     def _bounded(self, period: Period, name: str) -> list[Sum]:
         if name == PERIOD:
             return [self._summed(period, {period.period: 1.0}, {})]

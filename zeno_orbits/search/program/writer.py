@@ -397,7 +397,7 @@ class _Writer:
         durations = np.array([hop.duration for hop in hops], dtype=np.intp)
         column = np.concatenate([*speeds, *states, *times, *(hop.unit for hop in hops), durations])
         out = self._at(self.machine.limit(first, len(hops)), column)[:, 0]
-        guess = self._tail_of(legs[k].leg)[1]
+        guess = float(builder.output_values(out[[-1]])[0])
         time = builder.unknowns([guess], guess, 0.0)
         builder.rows("tail", linear=[(time, -1.0)], outputs=[(out[[-1]], 1.0)], size=guess)
         after = _After(unknowns=np.zeros(0, dtype=np.intp), outputs=out[:-1])
