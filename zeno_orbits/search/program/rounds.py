@@ -25,9 +25,16 @@ from zeno_orbits.orbits import (
     largest_states,
     orbit_event_name,
 )
-from zeno_orbits.search.objectives import Objective, Target
+from zeno_orbits.search.objectives import MinPeak, Objective, Target
 from zeno_orbits.search.program.elements import ElementBuilder, ElementProgram, ElementSolution
-from zeno_orbits.search.program.terms import SearchTerms, dips_of, moves_marks, needs_work
+from zeno_orbits.search.program.terms import (
+    Place,
+    SearchTerms,
+    dips_of,
+    extremes_of,
+    needs_work,
+    signals_of,
+)
 from zeno_orbits.search.program.writer import (
     Period,
     WriterSettings,
@@ -66,8 +73,9 @@ _KEPT = 1e-8
 """Largest scaled residual of a solved program."""
 _SAME = 1e-7
 """Largest relative distance of a solution from the simulated orbit."""
-_STILL = 1e-9
-"""Change of the free values, over their sizes, below which a round repeats the last one."""
+_STILL, _NEAR = 1e-9, 1e-4
+"""Change of the free values, over their units, below which a round repeats the last one, and that
+of a least peak, whose error is of second order in it."""
 _VANISHED = 1e-6
 """Part of its guess below which the duration of a leg is zero."""
 _FIRST = IpoptSettings(optimality=1e-10, first_barrier=0.1, most_iterations=100, most_seconds=1e9)
@@ -182,6 +190,7 @@ class _State:
         work: Work that is left.
         iterations: Iterations of Ipopt so far.
         n_failures: Number of programs that were not solved.
+        places: Places between stages at which bounds on signals hold.
         best: The last orbit.
         reason: Reason why the search has not converged.
         is_over: Whether it has converged, or cannot go on.
@@ -195,6 +204,7 @@ class _State:
     work: int = _WORK
     iterations: int = 0
     n_failures: int = 0
+    places: tuple[Place, ...] = ()
     best: ProgramOrbit | None = None
     reason: str = ""
     is_over: bool = False
@@ -237,7 +247,10 @@ def _advanced(
     miss = _miss(here, solved)
     agrees = is_closed and is_same and _agrees(solved, miss)
     moved = replace(
-        state, here=here, has_contacts=state.has_contacts or (not agrees and has_contacts)
+        state,
+        here=here,
+        has_contacts=state.has_contacts or (not agrees and has_contacts),
+        places=solved.places if is_same else (),
     )
     if not is_closed:
         return moved
@@ -259,8 +272,9 @@ def _judged(
     """
     own = solved.periods[0]
     is_held = _is_held(before.here, task, before.half, solved.solution.unknowns[own.free])
-    is_still = _moved(task, before.here.values, state.here.values) <= _STILL
-    is_still |= not moves_marks(task.objective, task.bounds, own.graph)
+    limit = _NEAR if isinstance(task.objective, MinPeak) else _STILL
+    is_still = _moved(task, before.here.values, state.here.values) <= limit
+    is_still |= not signals_of(task.objective, task.bounds, own.graph)
     converged = agrees and is_still and not is_held and not before.is_wish
     best = ProgramOrbit(
         values=state.here.values,
@@ -278,10 +292,11 @@ def _judged(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Solved:
-    """The last program of a round: its periods, its solution, and the work of all of them."""
+    """The last program of a round, and the work of all programs of the round."""
 
     periods: tuple[Period, ...]
     solution: ElementSolution
+    places: tuple[Place, ...]
     iterations: int
     work: int
 
@@ -301,12 +316,12 @@ def _solved(problem: Problem, task: ProgramTask, state: _State) -> _Solved:
     Raises:
         SimulationError: If the work is used up.
     """
-    dips: list[tuple[int, int, float, int]] = []
+    dips: list[Place] = []
     last: _Solved | None = None
     settings = _FIRST if state.number == 0 else _LATER
     iterations = spent = 0
     for _ in range(_MOST_CUTS):
-        periods, program = _written(problem, task, state, dips)
+        periods, program, places = _written(problem, task, state, dips)
         if last is not None:
             # Unknowns of further places come last.
             guess = last.solution.unknowns
@@ -324,7 +339,13 @@ def _solved(problem: Problem, task: ProgramTask, state: _State) -> _Solved:
         solution = program.solve(limited)
         iterations += solution.iterations
         spent += solution.iterations * size
-        last = _Solved(periods=periods, solution=solution, iterations=iterations, work=spent)
+        last = _Solved(
+            periods=periods,
+            solution=solution,
+            places=places,
+            iterations=iterations,
+            work=spent,
+        )
         if not state.has_contacts or not np.all(np.isfinite(solution.unknowns)):
             break
         found = dips_of(periods, solution.unknowns)
@@ -341,16 +362,15 @@ def _written(
     problem: Problem,
     task: ProgramTask,
     state: _State,
-    dips: Sequence[tuple[int, int, float, int]],
-) -> tuple[tuple[Period, ...], ElementProgram]:
-    """Return the periods of a round, and their program."""
+    dips: Sequence[Place],
+) -> tuple[tuple[Period, ...], ElementProgram, tuple[Place, ...]]:
+    """Return the periods of a round, their program, and the places between its stages."""
     builder, here = ElementBuilder(), state.here
     graph = problem.graph_dynamics(here.values)
     box = _box(here, task, state.half)
     free = dict(zip(task.free, free_places(builder, graph, box).tolist(), strict=True))
-    is_fine = (state.has_contacts and task.is_measured) or moves_marks(
-        task.objective, task.bounds, graph
-    )
+    signals = signals_of(task.objective, task.bounds, graph)
+    is_fine = bool(signals) or (state.has_contacts and task.is_measured)
     mesh = _FINE if is_fine else _MESH
     writing = WriterSettings(mesh=mesh, backward=_BACKWARD if state.number < _FORWARD else 0.0)
     pairs = [(here.values, here.found)]
@@ -369,7 +389,9 @@ def _written(
         )
         for values, found in pairs
     )
-    terms = SearchTerms(periods=periods, free=free)
+    # A bound holds everywhere, so the places of earlier rounds remain valid.
+    places = (*state.places, *extremes_of(periods, signals))
+    terms = SearchTerms(periods=periods, free=free, places=places)
     if not task.is_measured:
         terms.nearest(task.origin, task.units, task.objective.goal)
     terms.aim(task.objective, is_wish=state.is_wish)
@@ -377,7 +399,7 @@ def _written(
         terms.keep(bound, task.sizes[bound.name])
     if state.has_contacts:
         terms.keep_contacts(dips)
-    return periods, builder.built()
+    return periods, builder.built(), places
 
 
 def _box(here: _Motions, task: ProgramTask, half: float) -> dict[str, tuple[float, float]]:

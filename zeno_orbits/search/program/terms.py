@@ -51,6 +51,8 @@ _SERVED = (
 """Objectives that a program has."""
 _SAMPLES = 12
 """Samples of an interval in which extremes are looked for."""
+_POSITION = 1e-9
+"""Error of the place of an extreme. The value has the square of it."""
 _WISH = 2e3
 """Weight of a target that is a wish: a deviation of 3 % counts as much as all free values."""
 _CLEAR = 1e-7
@@ -81,12 +83,17 @@ def needs_work(objective: Objective, bounds: Sequence[Bound], graph: GraphDynami
     return about or isinstance(objective, MinEnergy)
 
 
-def moves_marks(objective: Objective, bounds: Sequence[Bound], graph: GraphDynamics) -> bool:
-    """Return True if rows hold at extremes, which another round places anew."""
-    signals = course_signal_names(graph.compiled)
-    return isinstance(objective, TargetAmplitude | MinPeak) or any(
-        bound.name in signals for bound in bounds
-    )
+def signals_of(
+    objective: Objective, bounds: Sequence[Bound], graph: GraphDynamics
+) -> tuple[str, ...]:
+    """Return the signals whose extremes are part of a program. Another round places them anew."""
+    known = course_signal_names(graph.compiled)
+    names = [bound.name for bound in bounds if bound.name in known]
+    if isinstance(objective, TargetAmplitude):
+        names.append(objective.state)
+    if isinstance(objective, MinPeak):
+        names.append(objective.signal)
+    return tuple(dict.fromkeys(names))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,6 +136,23 @@ class Mark:
     columns: Rows
     weights: Array
     fraction: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """A place between stages.
+
+    Attributes:
+        period: Index of the period.
+        leg: Index of the leg.
+        fraction: The place in the leg, from 0 to 1.
+        stop: Index of the stop that is penetrated there, -1 at an extreme of a signal.
+    """
+
+    period: int
+    leg: int
+    fraction: float
+    stop: int = -1
 
 
 def mark_at(period: Period, places: LegPlaces, fraction: float) -> Mark:
@@ -196,6 +220,79 @@ def values_of(element: Element, states: Array, free: Array, p: Array) -> Array:
     return np.array(ca.DM(found).full())[0]
 
 
+def signal_along(period: Period, places: LegPlaces, name: str) -> tuple[Array, Array]:
+    """Return samples of a signal along a leg at the guess: fractions and values.
+
+    Args:
+        period: The period of the leg.
+        places: The leg.
+        name: Name of the signal.
+    """
+    builder = period.builder
+    fractions, states = sampled(period, places, builder.value(np.arange(builder.n)))
+    if name in period.graph.state_names:
+        return fractions, states[period.graph.state_names.index(name)]
+    element = period.machine.signal(places.leg.mode, name)
+    return fractions, values_of(element, states, builder.value(period.free), period.graph.p)
+
+
+def extremes_along(period: Period, places: LegPlaces, name: str, sign: float) -> list[float]:
+    """Return the places of local extremes of a signal along a leg, its ends included.
+
+    Args:
+        period: The period of the leg.
+        places: The leg.
+        name: Name of the signal.
+        sign: 1 for the largest values, -1 for the smallest.
+    """
+    # SciPy's optimizers take a while to import.
+    from scipy.optimize import minimize_scalar
+
+    fractions, values = signal_along(period, places, name)
+    fractions, kept = np.unique(fractions, return_index=True)
+    values = sign * values[kept]
+    everything = period.builder.value(np.arange(period.builder.n))
+
+    def below(at: float) -> float:
+        mark = mark_at(period, places, at)
+        state = (everything[mark.columns] @ mark.weights)[:, None]
+        if name in period.graph.state_names:
+            return -sign * float(state[period.graph.state_names.index(name), 0])
+        element = period.machine.signal(places.leg.mode, name)
+        free = everything[period.free]
+        return -sign * float(values_of(element, state, free, period.graph.p)[0])
+
+    found = [0.0, 1.0]
+    inside = (values[1:-1] >= values[:-2]) & (values[1:-1] > values[2:])
+    for k in (np.flatnonzero(inside) + 1).tolist():
+        refined: Any = minimize_scalar(
+            below,
+            bounds=(float(fractions[k - 1]), float(fractions[k + 1])),
+            method="bounded",
+            options={"xatol": _POSITION},
+        )
+        found.append(float(refined.x))
+    return found
+
+
+def extremes_of(periods: Sequence[Period], signals: Sequence[str]) -> tuple[Place, ...]:
+    """Return the places of the extremes of signals between the ends of all legs, at the guess.
+
+    Args:
+        periods: The periods of the program.
+        signals: Names of the signals.
+    """
+    return tuple(
+        Place(period=number, leg=k, fraction=at)
+        for number, period in enumerate(periods)
+        for k, places in enumerate(period.legs)
+        for name in signals
+        for sign in (1.0, -1.0)
+        for at in extremes_along(period, places, name, sign)
+        if 0.0 < at < 1.0
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SearchTerms:
     """The terms of a search in a program.
@@ -203,10 +300,12 @@ class SearchTerms:
     Attributes:
         periods: The periods, the first at the search's own parameters, then at each corner.
         free: Name to place of the free values.
+        places: Places between stages at which bounds on signals hold, too.
     """
 
     periods: tuple[Period, ...]
     free: Mapping[str, int]
+    places: Sequence[Place] = ()
 
     @property
     def _own(self) -> Period:
@@ -385,7 +484,7 @@ class SearchTerms:
     def _least_peak(self, name: str) -> None:
         builder = self._own.builder
         size = max(
-            float(np.max(np.abs(self._signal(period, places, name)[1])))
+            float(np.max(np.abs(signal_along(period, places, name)[1])))
             for period in self.periods
             for places in period.legs
         )
@@ -413,8 +512,8 @@ class SearchTerms:
         for sign in (1.0, -1.0):
             best: tuple[float, Mark] | None = None
             for places in period.legs:
-                fractions, values = self._signal(period, places, state)
-                for fraction in self._extremes(period, places, state, sign):
+                fractions, values = signal_along(period, places, state)
+                for fraction in extremes_along(period, places, state, sign):
                     value = sign * float(np.interp(fraction, fractions, values))
                     if best is None or value > best[0]:
                         best = value, mark_at(period, places, fraction)
@@ -426,48 +525,6 @@ class SearchTerms:
 
     # Signals.
 
-    def _signal(self, period: Period, places: LegPlaces, name: str) -> tuple[Array, Array]:
-        """Return samples of a signal along a leg at the guess: fractions and values."""
-        builder = period.builder
-        fractions, states = sampled(period, places, builder.value(np.arange(builder.n)))
-        if name in period.graph.state_names:
-            return fractions, states[period.graph.state_names.index(name)]
-        element = period.machine.signal(places.leg.mode, name)
-        free = builder.value(period.free)
-        return fractions, values_of(element, states, free, period.graph.p)
-
-    def _extremes(self, period: Period, places: LegPlaces, name: str, sign: float) -> list[float]:
-        """Return the places of local extremes of a signal along a leg, its ends included."""
-        # SciPy's optimizers take a while to import.
-        from scipy.optimize import minimize_scalar
-
-        fractions, values = self._signal(period, places, name)
-        fractions, kept = np.unique(fractions, return_index=True)
-        values = sign * values[kept]
-        builder = period.builder
-        everything = builder.value(np.arange(builder.n))
-        free = builder.value(period.free)
-
-        def below(at: float) -> float:
-            mark = mark_at(period, places, at)
-            state = (everything[mark.columns] @ mark.weights)[:, None]
-            if name in period.graph.state_names:
-                return -sign * float(state[period.graph.state_names.index(name), 0])
-            element = period.machine.signal(places.leg.mode, name)
-            return -sign * float(values_of(element, state, free, period.graph.p)[0])
-
-        found = [0.0, 1.0]
-        inside = (values[1:-1] >= values[:-2]) & (values[1:-1] > values[2:])
-        for k in (np.flatnonzero(inside) + 1).tolist():
-            refined: Any = minimize_scalar(
-                below,
-                bounds=(float(fractions[k - 1]), float(fractions[k + 1])),
-                method="bounded",
-                options={"xatol": 1e-9},
-            )
-            found.append(float(refined.x))
-        return found
-
     def _everywhere(self, period: Period, name: str) -> list[tuple[list[Terms], list[Terms]]]:
         """Return the terms of a signal at all stages, starts of legs and extremes."""
         return [terms for places in period.legs for terms in self._along(period, places, name)]
@@ -476,11 +533,11 @@ class SearchTerms:
         self, period: Period, places: LegPlaces, name: str
     ) -> list[tuple[list[Terms], list[Terms]]]:
         n = period.machine.n_x
+        number, k = self.periods.index(period), period.legs.index(places)
         extremes = [
-            mark_at(period, places, at)
-            for sign in (1.0, -1.0)
-            for at in self._extremes(period, places, name, sign)
-            if 0.0 < at < 1.0
+            mark_at(period, places, place.fraction)
+            for place in self.places
+            if (place.period, place.leg) == (number, k) and 0.0 < place.fraction < 1.0
         ]
         columns = np.column_stack([places.start, places.stages[:n]])
         if name in period.graph.state_names:
@@ -506,24 +563,22 @@ class SearchTerms:
 
     # Contacts.
 
-    def keep_contacts(self, dips: Sequence[tuple[int, int, float, int]]) -> None:
+    def keep_contacts(self, dips: Sequence[Place]) -> None:
         """Add rows that keep open stops open and closed stops closed along all legs.
 
         Args:
-            dips: Further places, by `dips_of`: period, leg, fraction and stop.
+            dips: Further places, by `dips_of`.
         """
         for period in self.periods:
             for places in period.legs:
                 for stop in range(len(period.graph.stop_names)):
                     self._keep_contact(period, places, stop)
-        for number, k, fraction, stop in dips:
-            period = self.periods[number]
-            if k >= len(period.legs) or stop in period.legs[k].leg.mode[0]:
-                continue
-            places = period.legs[k]
-            state = self._state(period, mark_at(period, places, fraction))
-            element = period.machine.contact(places.leg.mode, stop)
-            size = period.graph.view(places.leg.mode, stop).own.gap
+        for dip in dips:
+            period = self.periods[dip.period]
+            places = period.legs[dip.leg]
+            state = self._state(period, mark_at(period, places, dip.fraction))
+            element = period.machine.contact(places.leg.mode, dip.stop)
+            size = period.graph.view(places.leg.mode, dip.stop).own.gap
             out = _at_states(period, element, state[:, None])
             period.builder.rows(
                 "gap between stages",
@@ -574,17 +629,14 @@ def _first_of(period: Period, k: int) -> int:
     return first
 
 
-def dips_of(periods: Sequence[Period], unknowns: Array) -> list[tuple[int, int, float, int]]:
+def dips_of(periods: Sequence[Period], unknowns: Array) -> list[Place]:
     """Return places between stages at which a solution penetrates an open stop.
 
     Args:
         periods: The periods of the program.
         unknowns: The solution.
-
-    Returns:
-        Period, leg, fraction and stop of each place.
     """
-    found: list[tuple[int, int, float, int]] = []
+    found: list[Place] = []
     for number, period in enumerate(periods):
         free = unknowns[period.free]
         for k, places in enumerate(period.legs):
@@ -599,5 +651,5 @@ def dips_of(periods: Sequence[Period], unknowns: Array) -> list[tuple[int, int, 
                     (gaps[1:-1] < _CLEAR / 2) & (gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:])
                 )
                 at = fractions[1:-1][low]
-                found += [(number, k, float(one), stop) for one in at]
+                found += [Place(period=number, leg=k, fraction=float(one), stop=stop) for one in at]
     return found
