@@ -137,6 +137,25 @@ def test_search_refuses_options_for_machines_with_one_stop() -> None:
     assert_refused(ask("search", "hopper", "--shape", "zeno"), "--shape", "one stop")
 
 
+def test_search_uses_the_method_that_is_asked_for() -> None:
+    words = ("search", "hopper", "--vary", "a=5:40", "--objective", "impacts")
+    words = (*words, "--bounds", "stop.impact_speed=2:", "--json")
+    found = {name: ask(*words, "--method", name) for name in ("program", "shooting")}
+    for name, answer in found.items():
+        assert answer.code == YES
+        assert answer.data["search"]["method"] == name
+        # v^2 = 2 a s / (1 - e^2) with s = 0.1 and e = 0.5.
+        assert answer.data["search"]["free"]["a"] == pytest.approx(15.0, rel=1e-6)
+    assert found["program"].data["search"]["iterations"] > 0
+    assert found["shooting"].data["search"]["iterations"] == 0
+
+
+def test_search_refuses_a_method_without_the_objective_and_an_unknown_method() -> None:
+    words = ("search", "hopper", "--vary", "a=5:40", "--objective", "contraction")
+    assert_refused(ask(*words, "--method", "program"), "--method", "shooting or auto")
+    assert_refused(ask(*words, "--method", "prgram"), "--method", "program")
+
+
 IMPACT_PAIR = ("--set", "k=0", "--set", "c=0", "--set", "restitution=0.9", "--set", "omega=2")
 
 

@@ -48,6 +48,7 @@ REDUCED = {
     "random_machines": ("--machines", "2", "--turns", "150"),
     "restitution_near_one": ("--repeats", "1"),
     "rig_convergence": ("--only", "portrait", "--points", "3"),
+    "two_methods": ("--machines", "motor_pendulum", "--trials", "1"),
     "search_success": ("--problems", "1", "--kinds", "fixed", "--workers", "1"),
     "shaken_tables": ("--tables", "2", "--searches", "0"),
     "special_points": ("--only", "3", "5", "--points", "40", "--marginal", "2", "--workers", "1"),

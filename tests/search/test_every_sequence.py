@@ -222,7 +222,7 @@ def test_a_bounded_peak_is_kept_between_the_stages() -> None:
         vary={"Kp": (1.0, 5.0), "Kd": (-1.2, -0.3)},
         objective=zo.MinPeak(signal="current"),
         bounds=[zo.Bound(name="period", lower=1.75)],
-        method=zo.SearchMethod.AUTO,
+        method=PROGRAM,
     )
     assert found.orbit is not None
     assert found.orbit.certificate["passed"]

@@ -281,8 +281,8 @@ def search_event_gains(
         seed: Seed of these starts, and of initial states.
         candidates: Number of different verified orbits to find and rank. If it is larger than 1,
             all starts count, and motions also start from initial states around the best orbit.
-        method: How the optimum is found. The default is `SearchMethod.AUTO`: the program, whose
-            optimum shooting checks.
+        method: How the optimum is found. The default is `SearchMethod.AUTO`: a nonlinear program
+            whose optimum shooting checks, or shooting.
         allow_unstable: Rank unstable orbits, too.
         settings: Integrator and accuracy.
         on_progress: Called with the stage and the part of it that is done.

@@ -39,7 +39,15 @@ GROUPS = {
         *("--trial", "--initial", "--transient"),
     ),
     "machine": ("--part", "--only", "--without", "--exact-pwm", "--cycles"),
-    "objective": ("--objective", "--uncertain", "--bounds", "--shape", "--allow-unstable", "--fit"),
+    "objective": (
+        "--objective",
+        "--method",
+        "--uncertain",
+        "--bounds",
+        "--shape",
+        "--allow-unstable",
+        "--fit",
+    ),
     "range": (
         *(
             "--x",

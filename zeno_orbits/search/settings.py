@@ -28,8 +28,8 @@ class SearchMethod(Enum):
     Attributes:
         PROGRAM: A nonlinear program with all impacts, solved by Ipopt, then a simulation.
         SHOOTING: Orbits that are closed by simulation at every choice of the free values.
-        AUTO: The program, whose optimum shooting checks. Shooting alone where there is no program,
-            or where it does not converge.
+        AUTO: The program, whose optimum shooting checks. Shooting alone where a program lacks the
+            objective or a bound, has extremes of signals, or does not converge.
     """
 
     AUTO = "auto"

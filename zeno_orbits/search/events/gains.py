@@ -68,7 +68,7 @@ from zeno_orbits.search.objectives import (
     corners_of,
 )
 from zeno_orbits.search.program.rounds import ProgramTask, orbit_by_program
-from zeno_orbits.search.program.terms import refusal
+from zeno_orbits.search.program.terms import refusal, signals_of
 from zeno_orbits.search.search_problem import clipped
 from zeno_orbits.search.settings import SearchMethod
 from zeno_orbits.search.strength import EnoughError, highest, push_of
@@ -502,8 +502,11 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
     is_best = isinstance(task.objective, NearestGains) and first.rank == (0.0, 0.0)
     if task.method is not SearchMethod.PROGRAM and (is_best or not task.free):
         return _told(task, first, Optimum(trial=first, converged=True))
-    lacking = refusal(first.points[0].graph, task.objective, task.bounds)
-    if task.method is SearchMethod.SHOOTING or (lacking and task.method is SearchMethod.AUTO):
+    graph = first.points[0].graph
+    lacking = refusal(graph, task.objective, task.bounds)
+    # Extremes of signals take a program ten times as long.
+    slow = lacking or signals_of(task.objective, task.bounds, graph)
+    if task.method is SearchMethod.SHOOTING or (slow and task.method is SearchMethod.AUTO):
         return _told(task, first, _by_shooting(task, first))
     if lacking:
         raise InputError(

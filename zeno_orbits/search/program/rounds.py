@@ -74,7 +74,7 @@ _KEPT = 1e-8
 _SAME = 1e-7
 """Largest relative distance of a solution from the simulated orbit."""
 _STILL, _NEAR = 1e-9, 1e-4
-"""Change of the free values, over their units, below which a round repeats the last one, and that
+"""Change of the free values, over their ranges, below which a round repeats the last one, and that
 of a least peak, whose error is of second order in it."""
 _VANISHED = 1e-6
 """Part of its guess below which the duration of a leg is zero."""
@@ -567,8 +567,12 @@ def _is_slower(before: Event | None, event: Event) -> bool:
 
 
 def _moved(task: ProgramTask, before: ParameterValues, after: ParameterValues) -> float:
-    """Return the largest change of a free value, over its unit."""
-    changes = [
-        abs(after.number(name) - before.number(name)) / task.units[name] for name in task.free
-    ]
-    return max(changes, default=0.0) if all(map(math.isfinite, changes)) else math.inf
+    """Return the largest change of a free value, in units of its range."""
+    return max(
+        (
+            abs(after.number(name) - before.number(name)) / (high - low)
+            for name, (low, high) in task.free.items()
+            if high > low
+        ),
+        default=0.0,
+    )
