@@ -126,9 +126,9 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
     add_shared(
         parser,
         "method",
-        f": {', '.join(api.METHODS)}: a nonlinear program with all events, orbits that a simulation "
-        "closes at every choice of the values, or the program with shooting as its check and "
-        "substitute (default: auto; with one stop the search by phases, if it serves)",
+        f": {', '.join(api.METHODS)}: a nonlinear program with all events, orbits that a "
+        "simulation closes at every choice of the values, or the program with shooting as its "
+        "check and substitute (default: auto; with one stop the search by phases, if it serves)",
         choices=api.METHODS,
     )
 
