@@ -18,7 +18,9 @@ from zeno_orbits.search import (
     NearestGains,
     ProgramOrbit,
     ProgramTask,
+    Verdict,
     orbit_by_program,
+    search_event_orbits,
     settled_return,
 )
 from zeno_orbits.simulation import SimulationSettings
@@ -245,6 +247,25 @@ def test_a_target_that_no_orbit_has_is_refused() -> None:
     )
     assert found.orbit is None
     assert found.detail.startswith("The program found no optimum")
+
+
+def test_shooting_replaces_an_optimum_that_the_check_refuses() -> None:
+    problem, checked = zo.load_problem("hopper"), list[zo.Orbit]()
+
+    def once(orbit: zo.Orbit) -> Verdict:
+        checked.append(orbit)
+        return Verdict(objection="" if len(checked) > 1 else "refused once")
+
+    found = search_event_orbits(
+        problem,
+        problem.values(),
+        free={"a": (15.0, 25.0)},
+        objective=zo.MinImpactLoss(),
+        accept=once,
+    )
+    assert found.method is SHOOTING
+    assert found.remarks[0].endswith("was refused: refused once")
+    assert found.free["a"] == pytest.approx(15.0)
 
 
 def test_an_objective_that_a_program_does_not_have_is_refused() -> None:

@@ -152,6 +152,7 @@ def search_event_orbits(
         objective=wish,
         bounds=tuple(bounds),
         method=method,
+        accept=accept,
         near=near,
         section=section,
         until=until,
@@ -197,6 +198,7 @@ class _Search:
         objective: The objective.
         bounds: The bounds.
         method: How the optimum is found.
+        accept: Check of the orbits, or ``None``.
         near: A known orbit at which the search starts, in place of a motion that settles.
         section: Name of the event at which the period starts and ends. By default it is chosen.
         until: Longest time to settle [s].
@@ -210,6 +212,7 @@ class _Search:
     objective: Objective
     bounds: tuple[Bound, ...]
     method: SearchMethod
+    accept: AcceptEvents | None
     near: Orbit | None
     section: str | None
     until: float | None
@@ -253,6 +256,8 @@ class _Search:
     def result(self, found: EventReturn, place: ParameterValues) -> EventSearchResult:
         """Return the result of the search from an orbit.
 
+        Where the check refuses the optimum of a program, shooting may end at another one.
+
         Args:
             found: The orbit.
             place: Values of its gains and parameters.
@@ -261,6 +266,28 @@ class _Search:
             InputError: If the objective has no event there.
             SimulationError: If a corner has no orbit there.
         """
+        best = self._by(self.method, found, place)
+        if self.method is not SearchMethod.AUTO or best.method is not SearchMethod.PROGRAM:
+            return best
+        objection = self._objection(best)
+        if not objection:
+            return best
+        other = self._by(SearchMethod.SHOOTING, found, place)
+        if other.orbit is None or self._objection(other):
+            return best
+        remark = f"The optimum of the program, {best.value:.10g}, was refused: {objection}"
+        return replace(other, iterations=best.iterations, remarks=(remark,))
+
+    def _objection(self, result: EventSearchResult) -> str:
+        """Return the reason why the check refuses an orbit, empty if it does not."""
+        if result.orbit is None or self.accept is None:
+            return ""
+        return self.accept(result.orbit).objection
+
+    def _by(
+        self, method: SearchMethod, found: EventReturn, place: ParameterValues
+    ) -> EventSearchResult:
+        """Return the result of the search by a method from an orbit."""
         orbits = OrbitsOverValues(
             problem=self.problem,
             values=place,
@@ -277,7 +304,7 @@ class _Search:
             ranges=np.array(list(self.free.values()), dtype=np.float64).reshape(-1, 2),
             objective=self.objective,
             bounds=self.bounds,
-            method=self.method,
+            method=method,
             corners=({}, *corners_of(self._uncertain)),
             on_progress=self.on_progress,
         )
