@@ -331,3 +331,20 @@ def _scaled_gradient(
         rise = conditions(dynamics, rows, x + shift) - conditions(dynamics, rows, x - shift)
         columns.append(rise / (2 * _DIFFERENCE))
     return np.stack(columns, axis=1)
+
+
+def coordinates_of(tangent: Vector) -> list[int]:
+    """Return the indices of the states that determine a point of a section best.
+
+    Args:
+        tangent: Directions in the section, in scaled states, ``(n_x, d)``.
+    """
+    chosen: list[int] = []
+    rest = tangent.copy()
+    for _ in range(tangent.shape[1]):
+        # The state that changes most while the chosen states do not.
+        sizes = np.linalg.norm(rest, axis=1)
+        chosen.append(int(np.argmax(sizes)))
+        along = rest[chosen[-1]] / sizes[chosen[-1]]
+        rest = rest - np.outer(rest @ along, along)
+    return sorted(chosen)

@@ -19,6 +19,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits.orbit import Orbit
 from zeno_orbits.orbits.poincare import Multipliers
+from zeno_orbits.orbits.section import coordinates_of
 from zeno_orbits.work import Columns, TableRepr, versions
 
 RECOVERED = {"1/e": math.exp(-1.0), "1 %": 0.01}
@@ -240,23 +241,6 @@ def stability_of(problem: Problem, orbit: Orbit, multipliers: Multipliers) -> St
         units=units,
         versions=versions(),
     )
-
-
-def coordinates_of(tangent: Vector) -> list[int]:
-    """Return the indices of the states that determine a point of a section best.
-
-    Args:
-        tangent: Directions in the section, in scaled states, ``(n_x, d)``.
-    """
-    chosen: list[int] = []
-    rest = tangent.copy()
-    for _ in range(tangent.shape[1]):
-        # The state that changes most while the chosen states do not.
-        sizes = np.linalg.norm(rest, axis=1)
-        chosen.append(int(np.argmax(sizes)))
-        along = rest[chosen[-1]] / sizes[chosen[-1]]
-        rest = rest - np.outer(rest @ along, along)
-    return sorted(chosen)
 
 
 def _slowest(

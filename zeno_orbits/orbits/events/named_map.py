@@ -33,9 +33,8 @@ from zeno_orbits.orbits.events.section import (
 )
 from zeno_orbits.orbits.looser_run import relaxed_settings
 from zeno_orbits.orbits.orbit import Orbit
-from zeno_orbits.orbits.section import section_of
+from zeno_orbits.orbits.section import coordinates_of, section_of
 from zeno_orbits.orbits.sequences import accumulating_events, orbit_event_name, sequence_of
-from zeno_orbits.orbits.stability import coordinates_of
 from zeno_orbits.simulation import SimulationSettings, SwitchEvent
 from zeno_orbits.work import Columns, TableRepr, versions
 
