@@ -77,7 +77,13 @@ def refusal(graph: GraphDynamics, objective: Objective, bounds: Sequence[Bound])
 
 
 def needs_work(objective: Objective, bounds: Sequence[Bound], graph: GraphDynamics) -> bool:
-    """Return True if the electrical work is part of an objective or of a bound."""
+    """Return True if the electrical work is part of an objective or of a bound.
+
+    Args:
+        objective: The objective.
+        bounds: The bounds.
+        graph: The graph of modes.
+    """
     signals = course_signal_names(graph.compiled)
     about = any(bound.name == ENERGY and ENERGY not in signals for bound in bounds)
     return about or isinstance(objective, MinEnergy)
@@ -86,7 +92,13 @@ def needs_work(objective: Objective, bounds: Sequence[Bound], graph: GraphDynami
 def signals_of(
     objective: Objective, bounds: Sequence[Bound], graph: GraphDynamics
 ) -> tuple[str, ...]:
-    """Return the signals whose extremes are part of a program. Another round places them anew."""
+    """Return the signals whose extremes are part of a program. Another round places them anew.
+
+    Args:
+        objective: The objective.
+        bounds: The bounds.
+        graph: The graph of modes.
+    """
     known = course_signal_names(graph.compiled)
     names = [bound.name for bound in bounds if bound.name in known]
     if isinstance(objective, TargetAmplitude):
