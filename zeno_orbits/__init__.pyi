@@ -5,6 +5,7 @@ from .api import find_event_orbit as find_event_orbit
 from .api import search_event_gains as search_event_gains
 from .api import find_orbit_by_shooting as find_orbit_by_shooting
 from .api import compare as compare
+from .api import compare_laws as compare_laws
 from .api import compare_transient as compare_transient
 from .api import compile_problem as compile_problem
 from .api import continue_orbit as continue_orbit
@@ -58,6 +59,8 @@ from .experiment.recordings.recording import read_recording as read_recording
 from .experiment.recordings.recording import write_recording as write_recording
 from .experiment.rig.run import RigRun as RigRun
 from .experiment.rig.run import RigSettings as RigSettings
+from .experiment.transients.impact_laws import LawComparison as LawComparison
+from .experiment.transients.impact_laws import LawFit as LawFit
 from .experiment.transients.transient_comparison import TransientComparison as TransientComparison
 from .experiment.transients.transient_fit import TransientFit as TransientFit
 from .maps.mapping import ParameterMap as ParameterMap
@@ -182,6 +185,8 @@ __all__ = [
     "HybridLagrangian",
     "Identification",
     "InputError",
+    "LawComparison",
+    "LawFit",
     "MaxMargin",
     "MaxPush",
     "MinBounceTime",
@@ -248,6 +253,7 @@ __all__ = [
     "check_proof",
     "circuit_drive",
     "compare",
+    "compare_laws",
     "compare_transient",
     "compile_problem",
     "continue_orbit",

@@ -205,6 +205,7 @@ OWN: dict[str, dict[str, Callable[[], Any]]] = {
         "holonomic": lambda: ca.SX(0, 1),
     },
     "design_feedback": {"inputs": lambda: ["Kd"]},
+    "scatter": {"spread": lambda: {"restitution": 0.01}},
     "NearestGains": {"target": lambda: {"Kp": 2.0}},
     "Problem": {
         "name": lambda: "ball",
@@ -228,6 +229,7 @@ RESULTS = (
     *("Identification", "OrbitCertificate", "ParameterMap", "PeriodEnclosure", "Proof"),
     *("ProofVerdict", "Pushes", "Recording", "Recovery", "RigRun", "SearchResult", "SwitchEvent"),
     *("Feedback", "HeldMotion", "ReturnMap", "ReturnSlopes", "Scatter", "Stability"),
+    *("LawComparison", "LawFit", "SearchMethod", "TransientComparison", "TransientFit"),
     *("WorkPrecision", "ZenoCondition", "Orbit", "Drawing", "SpecialPointKind", "PwmSettings"),
 )
 """Results, which functions make, and names that are not called."""

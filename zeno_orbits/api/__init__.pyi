@@ -23,6 +23,8 @@ from .inputs import problem_or_orbit as problem_or_orbit
 from .inputs import split_numbers as split_numbers
 from .machines import compare as compare
 from .machines import compare_rig as compare_rig
+from .machines import compare_laws as compare_laws
+from .machines import compare_laws_of as compare_laws_of
 from .machines import compare_transient as compare_transient
 from .machines import counterpart_for as counterpart_for
 from .machines import crop as crop

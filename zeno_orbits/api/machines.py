@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         Comparison,
         FitParameter,
         Identification,
+        LawComparison,
         MatchedRun,
         Recording,
         RecordingDescription,
@@ -180,6 +181,101 @@ def identify(
         transient=transient,
         on_progress=on_progress,
     )
+
+
+@front_door
+def compare_laws(
+    problem: Named,
+    recording: Recording | str | Path | Sequence[Recording | str | Path],
+    fit: Fit,
+    law: Sequence[str] = ("constant", "linear", "power"),
+    *,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    initial: Sequence[str] = (),
+    t_start: float | None = None,
+    t_end: float | None = None,
+    on_progress: Progress = silent,
+) -> LawComparison:
+    """Return laws of impact, each fitted to the same transients, and the one that they support.
+
+    The laws are ``constant``, ``linear`` in the impact speed and a ``power`` of it, capped below 1.
+
+    Args:
+        problem: The problem, its name or its file, with a parameter ``restitution``.
+        recording: The recording or its file, or several trials.
+        fit: Parameters to estimate, as for `identify`. The restitution is one of them.
+        law: Names of the laws.
+        gains: Gains that differ from their defaults.
+        parameters: Parameters that differ from their defaults.
+        start: Known initial values, as for `identify`.
+        initial: Further initial values to determine, as for `identify`.
+        t_start: First time of the recordings that counts [s].
+        t_end: Last time of the recordings that counts [s].
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If a name is unknown, or the problem has no parameter `restitution`.
+        UnfittableError: If no simulated motion follows the recordings.
+    """
+    known = known_problem(problem)
+    return compare_laws_of(
+        known,
+        labelled_recordings(known, recording, t_start, t_end, on_progress),
+        fit,
+        law,
+        values=known.values(gains=gains, parameters=parameters),
+        start=start,
+        initial=initial,
+        on_progress=on_progress,
+    )
+
+
+def compare_laws_of(
+    problem: Problem,
+    trials: Sequence[tuple[str, Recording]],
+    fit: Fit,
+    law: Sequence[str],
+    *,
+    values: ParameterValues,
+    start: Numbers | None = None,
+    initial: Sequence[str] = (),
+    on_progress: Progress = silent,
+) -> LawComparison:
+    """Return the result of `compare_laws` for recordings that were read.
+
+    Args:
+        problem: The problem.
+        trials: Label and recording of each trial.
+        fit: As in `compare_laws`.
+        law: As in `compare_laws`.
+        values: Gains and parameters at the start.
+        start: As in `compare_laws`.
+        initial: As in `compare_laws`.
+        on_progress: Called with the stage and the part of it that is done.
+    """
+    from zeno_orbits.experiment import laws_of
+
+    asked: dict[str, tuple[float, float] | None]
+    asked = dict(fit) if isinstance(fit, Mapping) else dict.fromkeys(fit)
+    asked.setdefault("restitution", None)
+
+    def fitted(
+        other: Problem, numbers: ParameterValues, further: Mapping[str, tuple[float, float]]
+    ) -> Identification:
+        return identify_trials(
+            other,
+            trials,
+            {**asked, **further},
+            values=numbers,
+            start=start,
+            initial=initial,
+            transient=True,
+            on_progress=on_progress,
+        )
+
+    return laws_of(problem, values, law, fitted)
 
 
 def identify_trials(

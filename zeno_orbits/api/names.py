@@ -90,7 +90,7 @@ NAMES = {
         Name(name="section", form="EVENT", meaning="event at which a period starts and ends"),
         Name(name="shape", form="SHAPE", meaning="mode sequence of an orbit"),
         Name(name="objective", form="WISH", meaning="choice among the orbits"),
-        Name(name="method", form="METHOD", meaning="how the best orbit in given ranges is found"),
+        Name(name="method", form="METHOD", meaning="method of the computation"),
     )
 }
 """Name to its row, in the order of the documentation."""

@@ -4,7 +4,8 @@ Offers: for recordings `Recording` of `RecordedSignal`s with a `Source`, `read_r
 `write_recording`, `sampled`. `compare_recording` returns a `Comparison` of `Metric`s.
 `fit_parameters` returns an `Identification` of `FitParameter`s or raises `UnfittableError`.
 `fit_transient_parameters` does the same for transients, `transient_reason` decides between the two,
-and `compare_transients` returns a `TransientComparison`.
+`compare_transients` returns a `TransientComparison`, and `laws_of` compares `LAWS` of impact on
+transients: a `LawComparison`, a `LawFit` each.
 `run_rig` and `settle_rig` simulate a problem as a machine without a Zeno point, with `RigSettings`.
 
 Sub-folders: `recordings` (files, tables, periodicity of signals), `comparison` (an orbit compared

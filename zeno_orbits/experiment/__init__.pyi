@@ -51,6 +51,10 @@ from .rig.simulator import run_rig as run_rig
 from .transients.decision import transient_reason as transient_reason
 from .transients.event_record import EVENT_FAMILIES as EVENT_FAMILIES
 from .transients.event_record import read_event_file as read_event_file
+from .transients.impact_laws import LAWS as LAWS
+from .transients.impact_laws import LawComparison as LawComparison
+from .transients.impact_laws import LawFit as LawFit
+from .transients.impact_laws import laws_of as laws_of
 from .transients.residual_tests import ResidualTests as ResidualTests
 from .transients.transient_comparison import FlightDeviation as FlightDeviation
 from .transients.transient_comparison import ImpactDeviation as ImpactDeviation

@@ -1,5 +1,6 @@
 from .clock import Clock as Clock
 from .drives.circuits import Drive as Drive
+from .contact import impact_speed as impact_speed
 from .contact import ContactQuantities as ContactQuantities
 from .contact import GAP as GAP
 from .contact import GAP_ACCELERATION as GAP_ACCELERATION

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.options import NO, YES, add_command, add_orbit, hand_out
+from zeno_orbits.cli.options import NO, YES, add_command, add_orbit, add_shared, hand_out
 from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
 from zeno_orbits.cli.parsing import read_input, read_multipliers, read_number
 from zeno_orbits.report import terminal as report
@@ -42,11 +42,12 @@ def add_feedback(commands: Any) -> None:
         metavar="EVENT",
         help="event at which a period starts and ends, and inputs are set (default: the orbit's)",
     )
-    parser.add_argument(
-        "--method",
+    add_shared(
+        parser,
+        "method",
+        ": lqr (least squares), place (chosen multipliers) or deadbeat (zero) (default: lqr)",
         choices=("lqr", "place", "deadbeat"),
         default="lqr",
-        help="least squares, chosen multipliers, or multipliers zero (default: lqr)",
     )
     parser.add_argument(
         "--weight",

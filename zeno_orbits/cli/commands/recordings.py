@@ -275,6 +275,7 @@ def add_identify(commands: Any) -> None:
             "--fit R,restitution,current.gain,theta1.offset,clock_rate",
             "zeno-orbits identify bouncing_ball drop.csv --fit restitution --plot drop.png",
             "zeno-orbits identify bouncing_ball drop.csv --trial drop2.csv --fit restitution",
+            "zeno-orbits identify bouncing_ball drop.csv --fit restitution --law constant,linear",
         ],
     )
     add_problem(parser, "a problem's name or Python file, or the file of an orbit near the data")
@@ -295,6 +296,13 @@ def add_identify(commands: Any) -> None:
         action="store_true",
         help="fit a transient; by default the recording decides: several trials, event times and "
         "motions that come to rest are transients",
+    )
+    parser.add_argument(
+        "--law",
+        type=_read_names,
+        metavar="LAW,...",
+        help="fit transients under each of these laws of impact (constant, linear, power), and "
+        "tell which one they support",
     )
     parser.add_argument(
         "--plot",
@@ -320,32 +328,51 @@ def _run_identify(options: argparse.Namespace) -> int:
     )
     if options.transient and options.orbit is not None:
         raise InputError("Argument `--orbit` must go without --transient, which shows no orbit.")
+    if options.law and options.orbit is not None:
+        raise InputError("Argument `--orbit` must go without --law, which fits transients.")
     files = [options.data, *options.trials]
     outputs = {"output": JSON, "orbit": JSON, "picture": PICTURE}
     require_outputs(options, outputs, reads=files)
     with report.ProgressLine(options.interrupts.check) as progress:
         trials = api.labelled_recordings(problem, files, options.t_start, options.t_end, progress)
         fit = {"+".join(names): box for names, box in options.fit}
-        found = api.identify_trials(
+        laws = options.law and api.compare_laws_of(
             problem,
             trials,
             fit,
+            options.law,
             values=problem.values(gains=gains, parameters=parameters),
             start=options.start,
             initial=options.initial,
-            # An orbit to write is one to fit.
-            transient=True if options.transient else None if options.orbit is None else False,
             on_progress=progress,
+        )
+        found = (
+            laws.best.found
+            if laws
+            else api.identify_trials(
+                problem,
+                trials,
+                fit,
+                values=problem.values(gains=gains, parameters=parameters),
+                start=options.start,
+                initial=options.initial,
+                # An orbit to write is one to fit.
+                transient=True if options.transient else None if options.orbit is None else False,
+                on_progress=progress,
+            )
         )
     if options.picture is not None:
         _draw_transient(found, options.picture)
+    data = laws or found
     if options.output is not None:
-        write_json(found, options.output)
+        write_json(data, options.output)
     if options.orbit is not None:
         zo.write_orbit(found.orbit, options.orbit)
     if options.json:
-        print_json(found.as_json())
+        print_json(data.as_json())
     else:
+        if laws:
+            report.print_laws(laws)
         remarks = dict.fromkeys(word for _, one in trials for word in one.remarks)
         report.print_identification(found, tuple(remarks))
         paths = (options.output, options.orbit, options.picture)

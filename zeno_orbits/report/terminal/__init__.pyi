@@ -5,6 +5,7 @@ from .experiments import print_comparison as print_comparison
 from .experiments import print_description as print_description
 from .experiments import print_contacts as print_contacts
 from .experiments import print_identification as print_identification
+from .experiments import print_laws as print_laws
 from .experiments import print_transient_comparison as print_transient_comparison
 from .experiments import print_rig as print_rig
 from .kernels import print_kernels as print_kernels

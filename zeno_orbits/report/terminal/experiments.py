@@ -29,6 +29,8 @@ if TYPE_CHECKING:
         FlightDeviation,
         Identification,
         ImpactDeviation,
+        LawComparison,
+        LawFit,
         Metric,
         RecordingDescription,
         RigComparison,
@@ -244,6 +246,24 @@ def _beside(one: Metric) -> str:
 
 def _known(value: float, form: str, otherwise: str = "-") -> str:
     return f"{value:{form}}" if math.isfinite(value) else otherwise
+
+
+def print_laws(found: LawComparison) -> None:
+    """Print laws of impact and the one that the recordings support."""
+    words = {True: "no structure left", False: "structure left"}
+    columns: list[Column[LawFit]] = [
+        name_column("law", lambda one: one.law),
+        number_column("deviation", lambda one: f"{100 * one.found.after:.3g} %"),
+        text_column("residuals", lambda one: words[one.is_supported]),
+        text_column("fitted", lambda one: ", ".join(map(_short, one.found.fitted))),
+    ]
+    print_lines([f"Laws of impact: {found.verdict}."])
+    print_table(columns, found.fits)
+    print_lines(["", f"Law `{found.best.law}`:"])
+
+
+def _short(one: FittedParameter) -> str:
+    return f"{one.unknown.label}={one.value:.5g}"
 
 
 def print_identification(found: Identification, recording_remarks: Sequence[str] = ()) -> None:
