@@ -11,13 +11,13 @@ import pytest
 import zeno_orbits as zo
 from zeno_orbits.orbits import EventCourse, EventQuantities, EventReturn
 from zeno_orbits.search import settled_return
-from zeno_orbits.search.program.elements import Element, ElementBuilder
+from zeno_orbits.search.program.elements import ElementBuilder, LegElement
 from zeno_orbits.search.program.terms import SearchTerms
-from zeno_orbits.search.program.writer import Period, free_places, write_period
+from zeno_orbits.search.program.writer import PeriodProgram, free_places, write_period
 from zeno_orbits.search.transcription.ipopt import IpoptSettings, SolveStatus
 
 
-def written(name: str, **ranges: tuple[float, float]) -> tuple[EventReturn, Period]:
+def written(name: str, **ranges: tuple[float, float]) -> tuple[EventReturn, PeriodProgram]:
     """Return an orbit and its program, whose guess is the orbit."""
     problem = zo.load_problem(name)
     values = problem.values()
@@ -62,7 +62,7 @@ def test_derivatives_are_those_of_the_whole_expression(name: str, ranges: Any) -
 def test_a_program_of_elements_has_the_closed_form_of_rosenbrock_on_a_circle() -> None:
     # On x^2 + y^2 = 2 the least of (1 - x)^2 + 100 (y - x^2)^2 is 0 at (1, 1).
     x = ca.SX.sym("x", 2)
-    element = Element.of(
+    element = LegElement.of(
         x,
         ca.SX(0, 1),
         ca.vertcat((1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2, ca.dot(x, x)),
@@ -82,7 +82,7 @@ def test_a_program_whose_rows_cannot_be_met_is_not_solved() -> None:
     builder = ElementBuilder()
     x = ca.SX.sym("x")
     place = builder.unknowns([1.0], 1.0)
-    out = builder.outputs(Element.of(x, ca.SX(0, 1), x**2), place[:, None], np.zeros(0))
+    out = builder.outputs(LegElement.of(x, ca.SX(0, 1), x**2), place[:, None], np.zeros(0))
     builder.rows("square", outputs=[(out[0], 1.0)], constant=1.0)
     solution = builder.built().solve(IpoptSettings())
     assert solution.status is not SolveStatus.SOLVED

@@ -19,7 +19,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.experiment.transients.motion import Motion
+from zeno_orbits.experiment.transients.motion import TransientMotion
 from zeno_orbits.experiment.transients.shooting import Shooting, event_times, matched
 from zeno_orbits.simulation import Impact
 
@@ -105,7 +105,11 @@ def _linear(shooting: Shooting, z: Vector, k: int) -> tuple[Vector, Vector, Vect
 
 
 def _column(
-    shooting: Shooting, k: int, motion: Motion, impact: Impact, places: list[list[int | None]]
+    shooting: Shooting,
+    k: int,
+    motion: TransientMotion,
+    impact: Impact,
+    places: list[list[int | None]],
 ) -> Vector | None:
     """Return the derivatives of the events with respect to the logarithm of one restitution."""
     view = shooting.graph.open_views[shooting.graph.stop_names.index(impact.stop)]

@@ -16,7 +16,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.transients.shooting import Shooting
-from zeno_orbits.experiment.transients.staged_fit import Fit, LostStartError, fitted
+from zeno_orbits.experiment.transients.staged_fit import LostStartError, StagedFit, fitted
 
 _ROUNDS = 3
 """Refits per end of an interval, at most."""
@@ -25,7 +25,7 @@ _NEAR = 0.02
 _STEPS = 12
 
 
-def covariance_of(fit: Fit) -> Vector:
+def covariance_of(fit: StagedFit) -> Vector:
     """Return the inverse of the information of a fit, ``(n_z, n_z)``.
 
     Args:
@@ -40,12 +40,14 @@ def covariance_of(fit: Fit) -> Vector:
     return inverse / np.outer(size, size)
 
 
-def degrees(fit: Fit) -> int:
+def degrees(fit: StagedFit) -> int:
     """Return the degrees of freedom of a fit."""
     return max(len(fit.rest) - int(np.linalg.matrix_rank(fit.jacobian)), 1)
 
 
-def profile_ends(shooting: Shooting, fit: Fit, k: int, inflation: float) -> tuple[float, float]:
+def profile_ends(
+    shooting: Shooting, fit: StagedFit, k: int, inflation: float
+) -> tuple[float, float]:
     """Return the ends of the 95 % interval of an unknown.
 
     Args:
@@ -71,7 +73,7 @@ def profile_ends(shooting: Shooting, fit: Fit, k: int, inflation: float) -> tupl
 
 
 def _end(
-    shooting: Shooting, fit: Fit, k: int, far: float, edge: float, limit: float, row: Vector
+    shooting: Shooting, fit: StagedFit, k: int, far: float, edge: float, limit: float, row: Vector
 ) -> float:
     """Return the change of an unknown at which the root of the excess reaches the limit.
 

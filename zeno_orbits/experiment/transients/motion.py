@@ -67,7 +67,7 @@ class StatesAt:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EventTimes:
+class MotionTimes:
     """Times of the events of one kind at one stop.
 
     Attributes:
@@ -80,7 +80,7 @@ class EventTimes:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class TransientMotion:
     """A simulated motion with derivatives.
 
     Attributes:
@@ -124,7 +124,7 @@ class Motion:
             found.by[rows] = _between(self._derivatives, self._passages[k], inside)
         return found
 
-    def events(self, kind: EventKind, stop: str) -> EventTimes:
+    def events(self, kind: EventKind, stop: str) -> MotionTimes:
         """Return the events of a kind at a stop, impacts up to the resolved ones.
 
         Args:
@@ -137,7 +137,7 @@ class Motion:
             for event, before, _ in passage.crossings
             if event.kind is kind and event.what == stop
         ]
-        return EventTimes(
+        return MotionTimes(
             times=np.array([time for time, _ in found]),
             by=np.array([row for _, row in found]).reshape(len(found), self._n_columns),
         )
@@ -243,7 +243,7 @@ def _between(derivatives: EventDerivatives, passage: ArcPassage, times: Vector) 
 
 def moved(
     graph: GraphDynamics, start: Vector, until: float, chosen: Sequence[int]
-) -> Motion | None:
+) -> TransientMotion | None:
     """Return the motion from a start, or ``None`` if it cannot be followed to the end.
 
     Args:
@@ -257,4 +257,4 @@ def moved(
     except (ZenoOrbitsError, ValueError, FloatingPointError):
         # Trial values may be inadmissible: the start inside a stop, or a motion that diverges.
         return None
-    return Motion(graph=graph, execution=execution, chosen=tuple(chosen))
+    return TransientMotion(graph=graph, execution=execution, chosen=tuple(chosen))

@@ -21,7 +21,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.experiment.transients.shooting import Shooting, event_times, matched
-from zeno_orbits.experiment.transients.staged_fit import Fit
+from zeno_orbits.experiment.transients.staged_fit import StagedFit
 from zeno_orbits.simulation import Impact
 
 _MOST = 8
@@ -92,7 +92,7 @@ class ResidualTests:
 
 
 def tested(
-    shooting: Shooting, fit: Fit, noise: tuple[Vector, ...], scatter: float, jitter: float
+    shooting: Shooting, fit: StagedFit, noise: tuple[Vector, ...], scatter: float, jitter: float
 ) -> ResidualTests:
     """Return the tests of the residuals of a fit.
 
@@ -132,7 +132,7 @@ def _odd(shooting: Shooting) -> float:
     return (sum(len(one.missed) for one in series) + false) / max(recorded, 1)
 
 
-def _channels(shooting: Shooting, fit: Fit) -> dict[tuple[int, int], Vector]:
+def _channels(shooting: Shooting, fit: StagedFit) -> dict[tuple[int, int], Vector]:
     """Return the residuals of every channel of every trial in order of time."""
     found: dict[tuple[int, int], Vector] = {}
     at = 0
@@ -183,7 +183,7 @@ def _inflation(channels: list[Vector]) -> float:
 _ByStop = dict[str, float]
 
 
-def _laws(shooting: Shooting, fit: Fit) -> tuple[_ByStop, _ByStop, _ByStop]:
+def _laws(shooting: Shooting, fit: StagedFit) -> tuple[_ByStop, _ByStop, _ByStop]:
     """Return the findings about the restitution by stop.
 
     Returns:
@@ -217,7 +217,7 @@ class _Score(NamedTuple):
     probability: float | None
 
 
-def _explained(columns: Vector, basis: Vector, fit: Fit) -> _Score:
+def _explained(columns: Vector, basis: Vector, fit: StagedFit) -> _Score:
     from scipy.special import fdtrc
 
     columns = _scaled(columns)
@@ -236,7 +236,7 @@ def _explained(columns: Vector, basis: Vector, fit: Fit) -> _Score:
     return _Score(power, cast("float", fdtrc(rank, freedom, ratio)))
 
 
-def _deviation_rows(shooting: Shooting, fit: Fit, stop: str) -> tuple[Vector, Vector]:
+def _deviation_rows(shooting: Shooting, fit: StagedFit, stop: str) -> tuple[Vector, Vector]:
     """Return the derivatives of the residuals with respect to single restitutions of a stop.
 
     Returns:

@@ -19,8 +19,8 @@ from zeno_orbits.experiment.identification.instruments import Instruments
 from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.transients.event_labels import sequences_of
 from zeno_orbits.experiment.transients.event_record import EventSeries
-from zeno_orbits.experiment.transients.motion import EventTimes, Motion, moved
-from zeno_orbits.experiment.transients.trial import OFFSET, Trial
+from zeno_orbits.experiment.transients.motion import MotionTimes, TransientMotion, moved
+from zeno_orbits.experiment.transients.trial import OFFSET, TrialData
 from zeno_orbits.model import GraphDynamics, Problem
 from zeno_orbits.simulation import EventKind, Impact
 
@@ -42,7 +42,7 @@ class Prediction:
         offset: Time offset of the simulation [s].
     """
 
-    motion: Motion
+    motion: TransientMotion
     signals: Vector
     by_signals: Vector
     events: Vector
@@ -65,7 +65,7 @@ class Shooting:
     problem: Problem
     graph: GraphDynamics
     unknowns: Unknowns
-    trials: tuple[Trial, ...]
+    trials: tuple[TrialData, ...]
     whitening: tuple[Vector, ...]
 
     @property
@@ -182,7 +182,7 @@ class Shooting:
             offset=offset,
         )
 
-    def _instruments(self, trial: Trial) -> Instruments:
+    def _instruments(self, trial: TrialData) -> Instruments:
         return self.unknowns.instruments(trial.measured.names)
 
     def _by_unknowns(self, trial: int, z: Vector, by: Vector) -> Vector:
@@ -202,7 +202,7 @@ class Shooting:
         return found
 
     def _signals(
-        self, trial: int, z: Vector, motion: Motion, horizon: float, offset: float
+        self, trial: int, z: Vector, motion: TransientMotion, horizon: float, offset: float
     ) -> tuple[Vector, Vector]:
         """Return the predicted channels at the samples up to a horizon, and their derivatives."""
         own, values, n_x = self.trials[trial], self.values(z), len(self.graph.state_names)
@@ -231,7 +231,7 @@ class Shooting:
         return instruments.read(channels, values), by_z
 
     def _events(
-        self, trial: int, z: Vector, motion: Motion, offset: float
+        self, trial: int, z: Vector, motion: TransientMotion, offset: float
     ) -> tuple[Vector, Vector]:
         """Return the predicted event times of a trial and their derivatives."""
         own = self.trials[trial]
@@ -284,16 +284,16 @@ class Shooting:
         return replace(self, trials=trials, whitening=tuple(whitening))
 
 
-def event_times(trial: Trial) -> Vector:
+def event_times(trial: TrialData) -> Vector:
     """Return all event times of a trial in the order of the residuals, ``(n_e,)`` [s]."""
     return np.concatenate([np.zeros(0), *(one.times for one in trial.series)])
 
 
-def _firsts(trial: Trial) -> list[float]:
+def _firsts(trial: TrialData) -> list[float]:
     return [float(one.times[0]) for one in trial.series if len(one.times)]
 
 
-def matched(series: EventSeries, model: EventTimes) -> list[int | None]:
+def matched(series: EventSeries, model: MotionTimes) -> list[int | None]:
     """Return the index of the event of a motion that belongs to each recorded one.
 
     Args:
@@ -311,7 +311,7 @@ def matched(series: EventSeries, model: EventTimes) -> list[int | None]:
     return found
 
 
-def placed(found: Sequence[int | None], model: EventTimes, end: float) -> tuple[Vector, Vector]:
+def placed(found: Sequence[int | None], model: MotionTimes, end: float) -> tuple[Vector, Vector]:
     """Return the times of matched events and their derivatives. A missing event is at the end.
 
     Args:
@@ -325,6 +325,6 @@ def placed(found: Sequence[int | None], model: EventTimes, end: float) -> tuple[
     return np.array(times), np.array(rows).reshape(len(found), m)
 
 
-def impacts_until(motion: Motion, time: float) -> tuple[Impact, ...]:
+def impacts_until(motion: TransientMotion, time: float) -> tuple[Impact, ...]:
     """Return the impacts of a motion up to a time."""
     return tuple(one for one in motion.execution.impacts if one.time <= time)

@@ -35,7 +35,7 @@ _NOTHING = 1e-2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Fit:
+class StagedFit:
     """A local optimum.
 
     Attributes:
@@ -111,7 +111,7 @@ def fitted(
     prior: Vector | None = None,
     fixed: int | None = None,
     steps: int = _LAST_STEPS,
-) -> Fit:
+) -> StagedFit:
     """Return the optimum near a start.
 
     Args:
@@ -153,7 +153,7 @@ def fitted(
     # A further step along the interior that gains nothing also ends the iteration.
     inner = free[(z[free] > low[free] + _EDGE) & (z[free] < high[free] - _EDGE)]
     converged = found.status > 0 or _gain(rest, rows[:, inner]) < _NOTHING
-    return Fit(z=z, rest=rest, jacobian=rows, converged=converged)
+    return StagedFit(z=z, rest=rest, jacobian=rows, converged=converged)
 
 
 def _gain(rest: Vector, rows: Vector) -> float:
@@ -165,7 +165,7 @@ def _gain(rest: Vector, rows: Vector) -> float:
     return float(along @ along) / max(scale, 1e-300)
 
 
-def staged(shooting: Shooting, z: Vector, on_progress: Progress) -> Fit:
+def staged(shooting: Shooting, z: Vector, on_progress: Progress) -> StagedFit:
     """Return the optimum that a growing horizon leads to from a start.
 
     Args:
@@ -196,7 +196,7 @@ def _starts(shooting: Shooting, z: Vector) -> Iterator[Vector]:
         yield other
 
 
-def best_fit(shooting: Shooting, z: Vector, on_progress: Progress) -> Fit | None:
+def best_fit(shooting: Shooting, z: Vector, on_progress: Progress) -> StagedFit | None:
     """Return the best optimum of up to six starts, ``None`` if none can be simulated.
 
     Two starts that agree are enough, and one whose residuals are as small as the noise of samples.
@@ -206,7 +206,7 @@ def best_fit(shooting: Shooting, z: Vector, on_progress: Progress) -> Fit | None
         z: First start, ``(n_z,)``.
         on_progress: Called with each stage.
     """
-    found: list[Fit] = []
+    found: list[StagedFit] = []
     tried = 0
     for start in _starts(shooting, z):
         tried += 1
@@ -224,14 +224,14 @@ def best_fit(shooting: Shooting, z: Vector, on_progress: Progress) -> Fit | None
     return _best_of(found, shooting, tried)
 
 
-def _is_noise(shooting: Shooting, best: Fit) -> bool:
+def _is_noise(shooting: Shooting, best: StagedFit) -> bool:
     """Return True if only samples are fitted, and their residuals are no larger than the noise."""
     freedom = len(best.rest) - len(best.z)
     only_samples = not any(one.n_events for one in shooting.trials)
     return only_samples and freedom > 0 and best.cost < _QUIET * freedom
 
 
-def _best_of(found: Sequence[Fit], shooting: Shooting, tried: int) -> Fit:
+def _best_of(found: Sequence[StagedFit], shooting: Shooting, tried: int) -> StagedFit:
     """Return the best of some optima, with the number of those that agree and the others."""
     best = min(found, key=lambda one: one.cost)
     alike = [one for one in found if _as_good(one, best)]
@@ -245,14 +245,14 @@ def _best_of(found: Sequence[Fit], shooting: Shooting, tried: int) -> Fit:
     )
 
 
-def refitted(shooting: Shooting, found: Fit) -> Fit:
+def refitted(shooting: Shooting, found: StagedFit) -> StagedFit:
     """Return the best optimum near those of all starts, for other weights or masks.
 
     Args:
         shooting: The trials with the other weights or masks.
         found: The fit with the former ones.
     """
-    again: list[Fit] = []
+    again: list[StagedFit] = []
     for z in found.found:
         try:
             again.append(fitted(shooting, z))
@@ -261,12 +261,12 @@ def refitted(shooting: Shooting, found: Fit) -> Fit:
     return _best_of(again, shooting, found.starts) if again else found
 
 
-def _as_good(one: Fit, best: Fit) -> bool:
+def _as_good(one: StagedFit, best: StagedFit) -> bool:
     scale = best.cost / max(len(best.rest) - len(best.z), 1)
     return one.cost - best.cost < max(_DIFFERENCE * scale, _SAME * 1e-3 * best.cost)
 
 
-def _apart(one: Fit, best: Fit, n_shared: int) -> bool:
+def _apart(one: StagedFit, best: StagedFit, n_shared: int) -> bool:
     """Return True if two optima as good as each other differ along determined directions."""
     step = one.z - best.z
     off = best.jacobian @ step

@@ -28,16 +28,16 @@ from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.experiment.transients.event_noise import EventNoise, event_noise
 from zeno_orbits.experiment.transients.event_record import EventSeries
 from zeno_orbits.experiment.transients.intervals import covariance_of, degrees, profile_ends
-from zeno_orbits.experiment.transients.motion import SETTINGS, Motion
+from zeno_orbits.experiment.transients.motion import SETTINGS, TransientMotion
 from zeno_orbits.experiment.transients.residual_tests import ResidualTests, tested
 from zeno_orbits.experiment.transients.shooting import Shooting, event_times, matched
 from zeno_orbits.experiment.transients.staged_fit import (
-    Fit,
+    StagedFit,
     best_fit,
     fitted,
     refitted,
 )
-from zeno_orbits.experiment.transients.trial import OFFSET, Trial, prepared_trial
+from zeno_orbits.experiment.transients.trial import OFFSET, TrialData, prepared_trial
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.simulation import EventKind, simulate
 from zeno_orbits.work import ByValue, Progress, silent
@@ -253,7 +253,7 @@ def _shooting(
     problem: Problem,
     begin: ParameterValues,
     sought: Sequence[FitParameter],
-    trials: Sequence[Trial],
+    trials: Sequence[TrialData],
 ) -> Shooting:
     unknowns = _with_channel_ranges(unknowns_of(problem, begin, sought), trials)
     graph = problem.graph_dynamics(begin)
@@ -266,7 +266,7 @@ def _shooting(
     )
 
 
-def _with_channel_ranges(unknowns: Unknowns, trials: Sequence[Trial]) -> Unknowns:
+def _with_channel_ranges(unknowns: Unknowns, trials: Sequence[TrialData]) -> Unknowns:
     """Return the unknowns with the scale and range of offsets by the ranges of their channels.
 
     Raises:
@@ -289,7 +289,7 @@ def _with_channel_ranges(unknowns: Unknowns, trials: Sequence[Trial]) -> Unknown
     return replace(unknowns, scale=scale, lower=lower, upper=upper)
 
 
-def _independent(trial: Trial) -> Vector:
+def _independent(trial: TrialData) -> Vector:
     """Return the whitening of event times with independent errors."""
     errors = [
         error
@@ -299,7 +299,7 @@ def _independent(trial: Trial) -> Vector:
     return np.diag(1.0 / np.array(errors)) if errors else np.zeros((0, 0))
 
 
-def _placed(problem: Problem, begin: ParameterValues, trial: Trial) -> Trial:
+def _placed(problem: Problem, begin: ParameterValues, trial: TrialData) -> TrialData:
     """Return a trial of event times alone with its first impact at the simulated one.
 
     Raises:
@@ -323,7 +323,7 @@ def _with_seen_restitution(
     problem: Problem,
     begin: ParameterValues,
     sought: Sequence[FitParameter],
-    trials: Sequence[Trial],
+    trials: Sequence[TrialData],
 ) -> ParameterValues:
     """Return the start with the restitution that recorded flights show, if it is fitted."""
     names = [name for one in sought for name in one.names if name == "restitution"]
@@ -340,7 +340,7 @@ def _with_seen_restitution(
     return problem.values(gains=begin.gains, parameters={**begin.parameters, "restitution": value})
 
 
-def _seen_ratios(trial: Trial) -> list[float]:
+def _seen_ratios(trial: TrialData) -> list[float]:
     """Return the ratios of neighbouring flights that a trial shows."""
     return [*map(_ratio, trial.impacts.values()), *(one.ratio for one in trial.series)]
 
@@ -376,7 +376,7 @@ def _deviation(shooting: Shooting, z: Vector) -> float:
     return math.sqrt(float(np.mean(squares))) if squares else math.inf
 
 
-def _masked(shooting: Shooting, found: Fit) -> tuple[Shooting, Fit]:
+def _masked(shooting: Shooting, found: StagedFit) -> tuple[Shooting, StagedFit]:
     """Return the fit without jumping channels beside the impacts of its motion.
 
     A gap may hide impacts of which a velocity has samples. The mask does not move during a fit.
@@ -384,7 +384,7 @@ def _masked(shooting: Shooting, found: Fit) -> tuple[Shooting, Fit]:
     if not any(one.jumping.any() for one in shooting.trials):
         return shooting, found
     for _ in range(2):
-        trials: list[Trial] = []
+        trials: list[TrialData] = []
         for k, trial in enumerate(shooting.trials):
             at = shooting.predicted(k, found.z, math.inf)
             if at is None:
@@ -399,8 +399,8 @@ def _masked(shooting: Shooting, found: Fit) -> tuple[Shooting, Fit]:
 
 
 def _reweighted(
-    shooting: Shooting, found: Fit, noise: Sequence[Vector]
-) -> tuple[Shooting, Fit, EventNoise | None]:
+    shooting: Shooting, found: StagedFit, noise: Sequence[Vector]
+) -> tuple[Shooting, StagedFit, EventNoise | None]:
     """Return the fit with the weights that its residuals show: channels, then event times."""
     has_events = any(one.n_events for one in shooting.trials)
     events: EventNoise | None = None
@@ -445,7 +445,7 @@ def _channel_noise(shooting: Shooting, z: Vector) -> list[Vector]:
 
 def _described(
     shooting: Shooting,
-    found: Fit,
+    found: StagedFit,
     noise: tuple[Vector, ...],
     events: EventNoise | None,
     sought: Sequence[FitParameter],
@@ -503,12 +503,12 @@ def _described(
     )
 
 
-def _is_determined(found: Fit) -> bool:
+def _is_determined(found: StagedFit) -> bool:
     """Return True if there are more data than unknowns that matter."""
     return len(found.rest) > int(np.linalg.matrix_rank(found.jacobian))
 
 
-def _unknown(shooting: Shooting, found: Fit, j: int) -> SharedValue:
+def _unknown(shooting: Shooting, found: StagedFit, j: int) -> SharedValue:
     """Return a fitted value without an interval."""
     value = float(shooting.values(found.z)[j])
     return SharedValue(value=value, error=math.inf, low=-math.inf, high=math.inf)
@@ -516,7 +516,7 @@ def _unknown(shooting: Shooting, found: Fit, j: int) -> SharedValue:
 
 def _shared(
     shooting: Shooting,
-    found: Fit,
+    found: StagedFit,
     j: int,
     error: float,
     inflation: float,
@@ -548,7 +548,7 @@ def _shared(
 
 
 def _unseen(
-    shooting: Shooting, found: Fit, labels: Sequence[str], inflation: float
+    shooting: Shooting, found: StagedFit, labels: Sequence[str], inflation: float
 ) -> tuple[Unseen, ...]:
     """Return the combinations of shared unknowns that the trials do not determine."""
     k = shooting.n_shared
@@ -571,7 +571,7 @@ def _unseen(
 
 
 def _values(
-    shooting: Shooting, found: Fit, sought: Sequence[FitParameter], begin: ParameterValues
+    shooting: Shooting, found: StagedFit, sought: Sequence[FitParameter], begin: ParameterValues
 ) -> ParameterValues:
     parameters = dict(begin.parameters)
     rows = zip(sought, shooting.unknowns.readings, shooting.values(found.z), strict=True)
@@ -581,7 +581,7 @@ def _values(
     return shooting.problem.values(gains=begin.gains, parameters=parameters)
 
 
-def _fitted_trial(shooting: Shooting, found: Fit, k: int) -> FittedTrial:
+def _fitted_trial(shooting: Shooting, found: StagedFit, k: int) -> FittedTrial:
     """Return a trial beside its fitted motion.
 
     Raises:
@@ -613,7 +613,7 @@ def _fitted_trial(shooting: Shooting, found: Fit, k: int) -> FittedTrial:
     )
 
 
-def _impacts_of(trial: Trial, motion: Motion, offset: float) -> Vector:
+def _impacts_of(trial: TrialData, motion: TransientMotion, offset: float) -> Vector:
     """Return the times of the impacts until the flights are shorter than three samples.
 
     For event times alone they are all impacts up to the last that was recorded.
@@ -633,14 +633,14 @@ def _impacts_of(trial: Trial, motion: Motion, offset: float) -> Vector:
     return times[(flights > 3.0 * step) | (np.diff(times, prepend=-np.inf) > 3.0 * step)]
 
 
-def _n_seen(trial: Trial) -> int:
+def _n_seen(trial: TrialData) -> int:
     heard: list[EventSeries] = [one for one in trial.series if one.kind.word == "impact"]
     if heard:
         return sum(len(one.times) for one in heard)
     return sum(len(row) for row in trial.impacts.values())
 
 
-def _at_end(shooting: Shooting, found: Fit, k: int) -> bool:
+def _at_end(shooting: Shooting, found: StagedFit, k: int) -> bool:
     """Return True if an unknown is at an end of its range."""
     low, high = (float(row[k]) for row in shooting.bounds)
     return min(found.z[k] - low, high - found.z[k]) < _EDGE * (high - low)
@@ -709,7 +709,7 @@ def _law_verdict(tests: ResidualTests) -> str:
 
 def _remarks(
     shooting: Shooting,
-    found: Fit,
+    found: StagedFit,
     at_end: Sequence[str],
     trials: Sequence[FittedTrial],
     tests: ResidualTests,

@@ -56,7 +56,7 @@ class FreeStart:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Trial:
+class TrialData:
     """A trial.
 
     Attributes:
@@ -95,7 +95,7 @@ class Trial:
     shift: float = 0.0
     jumping: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
-    def without(self, impacts: Vector) -> Trial:
+    def without(self, impacts: Vector) -> TrialData:
         """Return the trial without the samples of jumping channels beside further impacts.
 
         Args:
@@ -127,7 +127,7 @@ def prepared_trial(
     label: str,
     start: Mapping[str, float],
     free: Collection[str],
-) -> Trial:
+) -> TrialData:
     """Return a trial.
 
     Args:
@@ -180,7 +180,7 @@ def _of_events(
     series: Sequence[EventSeries],
     label: str,
     free: Collection[str],
-) -> Trial:
+) -> TrialData:
     """Return a trial of event times alone. Its origin is the recorded time 0."""
     n_x = len(begin)
     times = np.concatenate([one.times for one in series])
@@ -192,7 +192,7 @@ def _of_events(
         found.append(_clock(problem, begin))
     ends = sorted({*np.concatenate([one.times for one in series]).tolist()})
     horizons = (ends[min(3, len(ends) - 1)], ends[len(ends) // 2])
-    return Trial(
+    return TrialData(
         label=label,
         origin=0.0,
         time=np.zeros(0),
@@ -240,7 +240,7 @@ def _of_samples(
     label: str,
     start: Mapping[str, float],
     free: Collection[str],
-) -> Trial:
+) -> TrialData:
     """Return a trial of samples, with event times beside them if there are any."""
     time, names, values = _samples(recording, names, label)
     origin = float(time[0])
@@ -274,7 +274,7 @@ def _of_samples(
         if not moves
     ]
     known = {*start, *(one.name for one in frees), *(problem.state_names[k] for k in states)}
-    return Trial(
+    return TrialData(
         label=label,
         origin=origin,
         time=time,

@@ -68,7 +68,7 @@ from zeno_orbits.search.objectives import (
     corners_of,
 )
 from zeno_orbits.search.program.rounds import ProgramTask, orbit_by_program
-from zeno_orbits.search.program.terms import refusal, signals_of
+from zeno_orbits.search.program.terms import lacking_terms, signals_of
 from zeno_orbits.search.search_problem import clipped
 from zeno_orbits.search.settings import SearchMethod
 from zeno_orbits.search.strength import EnoughError, highest, push_of
@@ -530,7 +530,7 @@ def _result(task: _Task, numbers: Vector) -> EventSearchResult:
     if task.method is not SearchMethod.PROGRAM and (is_best or not task.free):
         return _told(task, first, Optimum(trial=first, converged=True))
     graph = first.points[0].graph
-    lacking = refusal(graph, task.objective, task.bounds)
+    lacking = lacking_terms(graph, task.objective, task.bounds)
     # Extremes of signals take a program ten times as long.
     slow = lacking or signals_of(task.objective, task.bounds, graph)
     if task.method is SearchMethod.SHOOTING or (slow and task.method is SearchMethod.AUTO):

@@ -36,7 +36,7 @@ Terms = tuple[Rows, ArrayLike]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Element:
+class LegElement:
     """A function of a column of unknowns and a column of constants.
 
     Attributes:
@@ -54,7 +54,7 @@ class Element:
     hessian_at: Rows
 
     @classmethod
-    def of(cls, column: ca.SX, constants: ca.SX, outputs: ca.SX) -> Element:
+    def of(cls, column: ca.SX, constants: ca.SX, outputs: ca.SX) -> LegElement:
         """Return the element of expressions.
 
         Args:
@@ -94,7 +94,7 @@ class Element:
 class _Calls:
     """All columns at which an element is evaluated, and the places of its outputs."""
 
-    element: Element
+    element: LegElement
     columns: Rows
     constants: Array
     outputs: Rows
@@ -248,7 +248,7 @@ class ElementBuilder:
         self._bounds.append(np.array([lower / sizes, upper / sizes]))
         return places
 
-    def outputs(self, element: Element, columns: Rows, constants: Array) -> Rows:
+    def outputs(self, element: LegElement, columns: Rows, constants: Array) -> Rows:
         """Evaluate an element at columns of unknowns and return the places of its outputs.
 
         Args:

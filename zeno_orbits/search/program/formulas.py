@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 
 from zeno_orbits.model import CompiledGraph, CompiledSystem, GraphMode
-from zeno_orbits.search.program.elements import Element
+from zeno_orbits.search.program.elements import LegElement
 from zeno_orbits.search.program.legs import Leg, without
 from zeno_orbits.simulation import Ending, limit_weights, signal, tail_time
 
@@ -23,7 +23,7 @@ GUARD, FALL = 0, 1
 
 
 @dataclass(frozen=True, eq=False)
-class Machine:
+class MachineFormulas:
     """The elements of a machine with given free values.
 
     Attributes:
@@ -40,7 +40,7 @@ class Machine:
         return len(self.compiled.state_names)
 
     @cached_property
-    def _elements(self) -> dict[tuple[object, ...], Element]:
+    def _elements(self) -> dict[tuple[object, ...], LegElement]:
         return {}
 
     @cached_property
@@ -55,10 +55,10 @@ class Machine:
         ]
         return free, values, ca.vertcat(*p)
 
-    def _element(self, key: tuple[object, ...], column: ca.SX, outputs: Any) -> Element:
+    def _element(self, key: tuple[object, ...], column: ca.SX, outputs: Any) -> LegElement:
         free, values, _ = self._values
         whole = ca.vertcat(column, free)
-        self._elements[key] = Element.of(whole, values, outputs)
+        self._elements[key] = LegElement.of(whole, values, outputs)
         return self._elements[key]
 
     def system(self, mode: GraphMode) -> tuple[CompiledSystem, bool]:
@@ -74,7 +74,7 @@ class Machine:
         first = mode[0][0]
         return self.compiled.system(without(mode, first), first), True
 
-    def stage(self, leg: Leg, *, has_work: bool) -> Element:
+    def stage(self, leg: Leg, *, has_work: bool) -> LegElement:
         """Return the element of a flow: ``(y, T, w, free) -> T f(y)``, then the power times `T`.
 
         Args:
@@ -106,7 +106,7 @@ class Machine:
         y = ca.SX.sym("y", self.n_x + (2 if is_flight else 0))
         return y, ca.SX.sym("w", 1 if is_flight else 0), y[: self.n_x]
 
-    def event(self, leg: Leg) -> Element:
+    def event(self, leg: Leg) -> LegElement:
         """Return the element of an event.
 
         ``(y, w, free) -> (guard, its fall, x after it, speed after it, energy lost)``. Of an impact
@@ -153,7 +153,7 @@ class Machine:
         after = self.compiled.resets[leg.index](x, p) if is_declared else x
         return [guard[0], -guard[1], after, 0.0, 0.0]
 
-    def armed(self, leg: Leg) -> Element | None:
+    def armed(self, leg: Leg) -> LegElement | None:
         """Return ``(x, free) -> armed`` of a declared switch, ``None`` if it is always armed.
 
         Args:
@@ -177,7 +177,7 @@ class Machine:
             rate = w * y[self.n_x + 1]
         return system, x - rate * system.impulse(x, p)[0], rate
 
-    def tail(self, leg: Leg) -> Element:
+    def tail(self, leg: Leg) -> LegElement:
         """Return ``(y, w, free) -> (state at the end of a tail, its time)``, theory (2.7).
 
         Args:
@@ -195,7 +195,7 @@ class Machine:
         outputs = [rest + time * system.locked.rate(rest, p), time]
         return self._element(key, ca.vertcat(y, w), ca.vertcat(*outputs))
 
-    def tail_work(self, leg: Leg) -> Element:
+    def tail_work(self, leg: Leg) -> LegElement:
         """Return ``(y, w, x after the tail, its time, free) -> electrical work in the tail``.
 
         Args:
@@ -210,7 +210,7 @@ class Machine:
         powers = [system.powers(x, self._values[2])[0] for x in (rest, end)]
         return self._element(key, ca.vertcat(y, w, end, time), time * (powers[0] + powers[1]) / 2)
 
-    def limit(self, first: tuple[int, ...], n_hops: int) -> Element:
+    def limit(self, first: tuple[int, ...], n_hops: int) -> LegElement:
         """Return the element of a Zeno limit.
 
         ``(speeds, states and times of the tails, w and T of later hops, free) ->
@@ -236,14 +236,14 @@ class Machine:
         column = ca.vertcat(speeds, ca.vec(states), times, w, T)
         return self._element(key, column, ca.vertcat(state, time))
 
-    def product(self) -> Element:
+    def product(self) -> LegElement:
         """Return ``(w, T, free) -> w T``, the time of a rescaled flight."""
         column = ca.SX.sym("column", 2)
         return self._elements.get(("product",)) or self._element(
             ("product",), column, column[0] * column[1]
         )
 
-    def holonomic(self, mode: GraphMode) -> Element:
+    def holonomic(self, mode: GraphMode) -> LegElement:
         """Return ``(x, free) -> (eta, eta_rate)`` of the constraints and the clock's circle.
 
         Args:
@@ -255,7 +255,7 @@ class Machine:
             return self._elements[key]
         return self._element(key, x, self.system(mode)[0].holonomic(x, self._values[2]))
 
-    def contact(self, mode: GraphMode, stop: int) -> Element:
+    def contact(self, mode: GraphMode, stop: int) -> LegElement:
         """Return ``(x, free) -> gap`` of an open stop, or the multiplier of a closed one.
 
         Args:
@@ -269,7 +269,7 @@ class Machine:
         contact = self.compiled.system(without(mode, stop), stop).contact_at(x, self._values[2])
         return self._element(key, x, contact.multiplier if stop in mode[0] else contact.gap)
 
-    def signal(self, mode: GraphMode, name: str) -> Element:
+    def signal(self, mode: GraphMode, name: str) -> LegElement:
         """Return ``(x, free) -> value`` of a signal.
 
         Args:
@@ -283,7 +283,7 @@ class Machine:
         function = signal(self.system(mode)[0], name).function
         return self._element(key, x, function(x, self._values[2]))
 
-    def times(self) -> Element | None:
+    def times(self) -> LegElement | None:
         """Return ``(free,) -> distances of switching times``, ``None`` without a waveform."""
         if not self.compiled.graph.time_orders:
             return None
@@ -293,11 +293,11 @@ class Machine:
 
 
 @lru_cache(maxsize=16)
-def machine_of(compiled: CompiledGraph, free: tuple[str, ...]) -> Machine:
+def formulas_of_machine(compiled: CompiledGraph, free: tuple[str, ...]) -> MachineFormulas:
     """Return the elements of a machine, shared by all programs of a process.
 
     Args:
         compiled: The functions of its modes.
         free: Names of the free values.
     """
-    return Machine(compiled, free)
+    return MachineFormulas(compiled, free)

@@ -28,7 +28,7 @@ from zeno_orbits.orbits import (
 from zeno_orbits.search.objectives import MinPeak, Objective, Target
 from zeno_orbits.search.program.elements import ElementBuilder, ElementProgram, ElementSolution
 from zeno_orbits.search.program.terms import (
-    Place,
+    ReadingPlace,
     SearchTerms,
     dips_of,
     extremes_of,
@@ -36,7 +36,7 @@ from zeno_orbits.search.program.terms import (
     signals_of,
 )
 from zeno_orbits.search.program.writer import (
-    Period,
+    PeriodProgram,
     WriterSettings,
     free_places,
     write_period,
@@ -204,7 +204,7 @@ class _State:
     work: int = _WORK
     iterations: int = 0
     n_failures: int = 0
-    places: tuple[Place, ...] = ()
+    places: tuple[ReadingPlace, ...] = ()
     best: ProgramOrbit | None = None
     reason: str = ""
     is_over: bool = False
@@ -294,9 +294,9 @@ def _judged(
 class _Solved:
     """The last program of a round, and the work of all programs of the round."""
 
-    periods: tuple[Period, ...]
+    periods: tuple[PeriodProgram, ...]
     solution: ElementSolution
-    places: tuple[Place, ...]
+    places: tuple[ReadingPlace, ...]
     iterations: int
     work: int
 
@@ -316,7 +316,7 @@ def _solved(problem: Problem, task: ProgramTask, state: _State) -> _Solved:
     Raises:
         SimulationError: If the work is used up.
     """
-    dips: list[Place] = []
+    dips: list[ReadingPlace] = []
     last: _Solved | None = None
     settings = _FIRST if state.number == 0 else _LATER
     iterations = spent = 0
@@ -362,8 +362,8 @@ def _written(
     problem: Problem,
     task: ProgramTask,
     state: _State,
-    dips: Sequence[Place],
-) -> tuple[tuple[Period, ...], ElementProgram, tuple[Place, ...]]:
+    dips: Sequence[ReadingPlace],
+) -> tuple[tuple[PeriodProgram, ...], ElementProgram, tuple[ReadingPlace, ...]]:
     """Return the periods of a round, their program, and the places between its stages."""
     builder, here = ElementBuilder(), state.here
     graph = problem.graph_dynamics(here.values)

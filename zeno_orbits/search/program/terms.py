@@ -32,9 +32,9 @@ from zeno_orbits.search.objectives import (
     TargetAmplitude,
     TargetPeriod,
 )
-from zeno_orbits.search.program.elements import Element, Terms
+from zeno_orbits.search.program.elements import LegElement, Terms
 from zeno_orbits.search.program.formulas import FALL
-from zeno_orbits.search.program.writer import LegPlaces, Period
+from zeno_orbits.search.program.writer import LegPlaces, PeriodProgram
 from zeno_orbits.simulation import Impact, SwitchEvent
 
 IMPACT_SPEED, BOUNCE_TIME, ENERGY_LOST = "impact_speed", "bounce_time", "energy_lost"
@@ -59,7 +59,7 @@ _CLEAR = 1e-7
 """Gap that a stop keeps between stages, in units of its scale. A simulation tells it from none."""
 
 
-def refusal(graph: GraphDynamics, objective: Objective, bounds: Sequence[Bound]) -> str:
+def lacking_terms(graph: GraphDynamics, objective: Objective, bounds: Sequence[Bound]) -> str:
     """Return what a program lacks for an objective and bounds, empty if it has everything.
 
     Args:
@@ -151,7 +151,7 @@ class Mark:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class ReadingPlace:
     """A place between stages.
 
     Attributes:
@@ -167,7 +167,7 @@ class Place:
     stop: int = -1
 
 
-def mark_at(period: Period, places: LegPlaces, fraction: float) -> Mark:
+def mark_at(period: PeriodProgram, places: LegPlaces, fraction: float) -> Mark:
     """Return a place of a leg.
 
     Args:
@@ -190,7 +190,9 @@ def mark_at(period: Period, places: LegPlaces, fraction: float) -> Mark:
     )
 
 
-def sampled(period: Period, places: LegPlaces, unknowns: Array) -> tuple[Array, Array]:
+def samples_of_legs(
+    period: PeriodProgram, places: LegPlaces, unknowns: Array
+) -> tuple[Array, Array]:
     """Return fractions of a leg between and at its stages, and the states of its polynomials.
 
     Args:
@@ -216,7 +218,7 @@ def sampled(period: Period, places: LegPlaces, unknowns: Array) -> tuple[Array, 
     return np.concatenate(fractions), np.hstack(states)
 
 
-def values_of(element: Element, states: Array, free: Array, p: Array) -> Array:
+def leg_values(element: LegElement, states: Array, free: Array, p: Array) -> Array:
     """Return the first output of an element at states, ``(m,)``.
 
     Args:
@@ -232,7 +234,7 @@ def values_of(element: Element, states: Array, free: Array, p: Array) -> Array:
     return np.array(ca.DM(found).full())[0]
 
 
-def signal_along(period: Period, places: LegPlaces, name: str) -> tuple[Array, Array]:
+def signal_along(period: PeriodProgram, places: LegPlaces, name: str) -> tuple[Array, Array]:
     """Return samples of a signal along a leg at the guess: fractions and values.
 
     Args:
@@ -241,14 +243,14 @@ def signal_along(period: Period, places: LegPlaces, name: str) -> tuple[Array, A
         name: Name of the signal.
     """
     builder = period.builder
-    fractions, states = sampled(period, places, builder.value(np.arange(builder.n)))
+    fractions, states = samples_of_legs(period, places, builder.value(np.arange(builder.n)))
     if name in period.graph.state_names:
         return fractions, states[period.graph.state_names.index(name)]
     element = period.machine.signal(places.leg.mode, name)
-    return fractions, values_of(element, states, builder.value(period.free), period.graph.p)
+    return fractions, leg_values(element, states, builder.value(period.free), period.graph.p)
 
 
-def extremes_along(period: Period, places: LegPlaces, name: str, sign: float) -> list[float]:
+def extremes_along(period: PeriodProgram, places: LegPlaces, name: str, sign: float) -> list[float]:
     """Return the places of local extremes of a signal along a leg, its ends included.
 
     Args:
@@ -272,7 +274,7 @@ def extremes_along(period: Period, places: LegPlaces, name: str, sign: float) ->
             return -sign * float(state[period.graph.state_names.index(name), 0])
         element = period.machine.signal(places.leg.mode, name)
         free = everything[period.free]
-        return -sign * float(values_of(element, state, free, period.graph.p)[0])
+        return -sign * float(leg_values(element, state, free, period.graph.p)[0])
 
     found = [0.0, 1.0]
     inside = (values[1:-1] >= values[:-2]) & (values[1:-1] > values[2:])
@@ -287,7 +289,9 @@ def extremes_along(period: Period, places: LegPlaces, name: str, sign: float) ->
     return found
 
 
-def extremes_of(periods: Sequence[Period], signals: Sequence[str]) -> tuple[Place, ...]:
+def extremes_of(
+    periods: Sequence[PeriodProgram], signals: Sequence[str]
+) -> tuple[ReadingPlace, ...]:
     """Return the places of the extremes of signals between the ends of all legs, at the guess.
 
     Args:
@@ -295,7 +299,7 @@ def extremes_of(periods: Sequence[Period], signals: Sequence[str]) -> tuple[Plac
         signals: Names of the signals.
     """
     return tuple(
-        Place(period=number, leg=k, fraction=at)
+        ReadingPlace(period=number, leg=k, fraction=at)
         for number, period in enumerate(periods)
         for k, places in enumerate(period.legs)
         for name in signals
@@ -315,12 +319,12 @@ class SearchTerms:
         places: Places between stages at which bounds on signals hold, too.
     """
 
-    periods: tuple[Period, ...]
+    periods: tuple[PeriodProgram, ...]
     free: Mapping[str, int]
-    places: Sequence[Place] = ()
+    places: Sequence[ReadingPlace] = ()
 
     @property
-    def _own(self) -> Period:
+    def _own(self) -> PeriodProgram:
         return self.periods[0]
 
     def nearest(
@@ -387,11 +391,11 @@ class SearchTerms:
                 upper=math.inf,
             )
 
-    def _work(self, period: Period) -> Sum:
+    def _work(self, period: PeriodProgram) -> Sum:
         return self._summed(period, {}, period.work)
 
     def _summed(
-        self, period: Period, unknowns: Mapping[int, float], outputs: Mapping[int, float]
+        self, period: PeriodProgram, unknowns: Mapping[int, float], outputs: Mapping[int, float]
     ) -> Sum:
         """Return a sum with its value at the guess."""
         builder = period.builder
@@ -403,7 +407,7 @@ class SearchTerms:
             value += float(found @ np.array(list(outputs.values())))
         return Sum(unknowns=unknowns, outputs=outputs, guess=value)
 
-    def _of_impacts(self, period: Period, objective: OfImpacts) -> Sum:
+    def _of_impacts(self, period: PeriodProgram, objective: OfImpacts) -> Sum:
         stops = (objective.stop,) if objective.stop else period.graph.stop_names
         unknowns: dict[int, float] = {}
         outputs: dict[int, float] = {}
@@ -413,7 +417,7 @@ class SearchTerms:
                 outputs |= one.outputs
         return self._summed(period, unknowns, outputs)
 
-    def _quantities(self, period: Period, stop: str, word: str) -> list[Sum]:
+    def _quantities(self, period: PeriodProgram, stop: str, word: str) -> list[Sum]:
         """Return the values of a quantity of a stop, in order of time."""
         index, n = period.graph.stop_names.index(stop), period.machine.n_x
         struck = [
@@ -468,7 +472,7 @@ class SearchTerms:
                     upper=bound.upper / size,
                 )
 
-    def measured(self, period: Period, name: str) -> list[float]:
+    def measured(self, period: PeriodProgram, name: str) -> list[float]:
         """Return the values of a quantity at the guess, in order of time.
 
         Args:
@@ -477,7 +481,7 @@ class SearchTerms:
         """
         return [one.guess for one in self._bounded(period, name)]
 
-    def _bounded(self, period: Period, name: str) -> list[Sum]:
+    def _bounded(self, period: PeriodProgram, name: str) -> list[Sum]:
         if name == PERIOD:
             return [self._summed(period, {period.period: 1.0}, {})]
         if name == ENERGY:
@@ -485,7 +489,7 @@ class SearchTerms:
         stop, _, word = name.rpartition(".")
         return self._quantities(period, stop, word)
 
-    def _keep_signal(self, period: Period, bound: Bound, size: float) -> None:
+    def _keep_signal(self, period: PeriodProgram, bound: Bound, size: float) -> None:
         label = f"bound on {bound.name}"
         lower, upper = bound.lower / size, bound.upper / size
         for linear, outputs in self._everywhere(period, bound.name):
@@ -537,12 +541,14 @@ class SearchTerms:
 
     # Signals.
 
-    def _everywhere(self, period: Period, name: str) -> list[tuple[list[Terms], list[Terms]]]:
+    def _everywhere(
+        self, period: PeriodProgram, name: str
+    ) -> list[tuple[list[Terms], list[Terms]]]:
         """Return the terms of a signal at all stages, starts of legs and extremes."""
         return [terms for places in period.legs for terms in self._along(period, places, name)]
 
     def _along(
-        self, period: Period, places: LegPlaces, name: str
+        self, period: PeriodProgram, places: LegPlaces, name: str
     ) -> list[tuple[list[Terms], list[Terms]]]:
         n = period.machine.n_x
         number, k = self.periods.index(period), period.legs.index(places)
@@ -563,7 +569,7 @@ class SearchTerms:
         element = period.machine.signal(places.leg.mode, name)
         return [([], [(_at_states(period, element, columns), 1.0)])]
 
-    def _state(self, period: Period, mark: Mark) -> Rows:
+    def _state(self, period: PeriodProgram, mark: Mark) -> Rows:
         """Add the state at a place as unknowns, and return their places, ``(n_x,)``."""
         builder, sizes = period.builder, mark.places.sizes[: period.machine.n_x]
         guess = builder.value(mark.columns) @ mark.weights
@@ -575,7 +581,7 @@ class SearchTerms:
 
     # Contacts.
 
-    def keep_contacts(self, dips: Sequence[Place]) -> None:
+    def keep_contacts(self, dips: Sequence[ReadingPlace]) -> None:
         """Add rows that keep open stops open and closed stops closed along all legs.
 
         Args:
@@ -600,7 +606,7 @@ class SearchTerms:
                 upper=math.inf,
             )
 
-    def _keep_contact(self, period: Period, places: LegPlaces, stop: int) -> None:
+    def _keep_contact(self, period: PeriodProgram, places: LegPlaces, stop: int) -> None:
         leg, n, builder = places.leg, period.machine.n_x, period.builder
         columns = places.stages[:, 1:-1]
         if leg.stop == stop:
@@ -609,20 +615,20 @@ class SearchTerms:
         element = period.machine.contact(leg.mode, stop)
         states = builder.value(columns[:n])
         free = builder.value(period.free)
-        values = values_of(element, states, free, period.graph.p)
+        values = leg_values(element, states, free, period.graph.p)
         size = float(np.max(np.abs(values))) or 1.0
         out = _at_states(period, element, columns[:n])
         name = "contact force" if stop in leg.mode[0] else "gap"
         builder.rows(name, outputs=[(out, 1.0)], size=size, upper=math.inf)
 
 
-def _at_states(period: Period, element: Element, columns: Rows) -> Rows:
+def _at_states(period: PeriodProgram, element: LegElement, columns: Rows) -> Rows:
     """Evaluate an element at states, and return the places of its first output."""
     free = np.repeat(period.free[:, None], columns.shape[1], axis=1)
     return period.builder.outputs(element, np.vstack([columns, free]), period.graph.p)[0]
 
 
-def _first_of(period: Period, k: int) -> int:
+def _first_of(period: PeriodProgram, k: int) -> int:
     """Return the leg of the first impact of the sequence to which an impact belongs."""
     first, n = k, len(period.legs)
     for back in range(1, n):
@@ -641,27 +647,29 @@ def _first_of(period: Period, k: int) -> int:
     return first
 
 
-def dips_of(periods: Sequence[Period], unknowns: Array) -> list[Place]:
+def dips_of(periods: Sequence[PeriodProgram], unknowns: Array) -> list[ReadingPlace]:
     """Return places between stages at which a solution penetrates an open stop.
 
     Args:
         periods: The periods of the program.
         unknowns: The solution.
     """
-    found: list[Place] = []
+    found: list[ReadingPlace] = []
     for number, period in enumerate(periods):
         free = unknowns[period.free]
         for k, places in enumerate(period.legs):
-            fractions, states = sampled(period, places, unknowns)
+            fractions, states = samples_of_legs(period, places, unknowns)
             for stop in range(len(period.graph.stop_names)):
                 if stop in places.leg.mode[0] or places.leg.stop == stop:
                     continue
                 element = period.machine.contact(places.leg.mode, stop)
                 size = period.graph.view(places.leg.mode, stop).own.gap
-                gaps = values_of(element, states, free, period.graph.p) / size
+                gaps = leg_values(element, states, free, period.graph.p) / size
                 low = (
                     (gaps[1:-1] < _CLEAR / 2) & (gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:])
                 )
                 at = fractions[1:-1][low]
-                found += [Place(period=number, leg=k, fraction=float(one), stop=stop) for one in at]
+                found += [
+                    ReadingPlace(period=number, leg=k, fraction=float(one), stop=stop) for one in at
+                ]
     return found

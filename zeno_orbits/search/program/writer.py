@@ -19,8 +19,8 @@ from zeno_orbits.arrays import ROUNDED, Array, Rows, null_space
 from zeno_orbits.integrators import radau_scheme
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits import EventReturn
-from zeno_orbits.search.program.elements import Element, ElementBuilder, Terms
-from zeno_orbits.search.program.formulas import FALL, GUARD, Machine, machine_of
+from zeno_orbits.search.program.elements import ElementBuilder, LegElement, Terms
+from zeno_orbits.search.program.formulas import FALL, GUARD, MachineFormulas, formulas_of_machine
 from zeno_orbits.search.program.legs import Leg, legs_of
 from zeno_orbits.search.transcription.mesh import graded_mesh, stage_fractions
 from zeno_orbits.simulation import Ending, Impact, tail_time
@@ -99,7 +99,7 @@ class LegPlaces:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Period:
+class PeriodProgram:
     """One period in a program.
 
     Attributes:
@@ -114,7 +114,7 @@ class Period:
     """
 
     graph: GraphDynamics
-    machine: Machine
+    machine: MachineFormulas
     builder: ElementBuilder
     free: Rows
     legs: tuple[LegPlaces, ...]
@@ -150,7 +150,7 @@ def write_period(
     *,
     has_work: bool = False,
     settings: WriterSettings | None = None,
-) -> Period:
+) -> PeriodProgram:
     """Add the rows of a periodic orbit to a program.
 
     Args:
@@ -162,7 +162,7 @@ def write_period(
         settings: Accuracy of the rows.
     """
     settings = settings or WriterSettings()
-    machine = machine_of(graph.compiled, tuple(free))
+    machine = formulas_of_machine(graph.compiled, tuple(free))
     writer = _Writer(
         builder=builder,
         graph=graph,
@@ -195,7 +195,7 @@ class _Writer:
 
     builder: ElementBuilder
     graph: GraphDynamics
-    machine: Machine
+    machine: MachineFormulas
     free: Rows
     settings: WriterSettings
     has_work: bool
@@ -210,7 +210,7 @@ class _Writer:
         states = [arc.sampled(20)[1] for leg in self.legs for arc in leg.pieces]
         return self.graph.own.not_zero(np.max(np.abs(np.vstack(states)), axis=0))
 
-    def written(self) -> Period:
+    def written(self) -> PeriodProgram:
         """Add all rows, and return their places."""
         sizes = self._sizes()
         legs = tuple(self._flow(leg, sizes) for leg in self.legs)
@@ -235,7 +235,7 @@ class _Writer:
             if self.has_work and k in tails:
                 column = np.concatenate([places.before, following.start, [tails[k]]])
                 work[int(self._at(self.machine.tail_work(places.leg), column)[0, 0])] = 1.0
-        return Period(
+        return PeriodProgram(
             graph=self.graph,
             machine=self.machine,
             builder=self.builder,
@@ -246,7 +246,7 @@ class _Writer:
             work=work,
         )
 
-    def _at(self, element: Element, columns: Rows) -> Rows:
+    def _at(self, element: LegElement, columns: Rows) -> Rows:
         """Evaluate an element at columns without free values, and return its outputs."""
         one = columns if columns.ndim == 2 else columns[:, None]
         free = np.repeat(self.free[:, None], one.shape[1], axis=1)
