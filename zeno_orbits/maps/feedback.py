@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
-from zeno_orbits.errors import InputError, SimulationError, did_you_mean, shown
+from zeno_orbits.errors import InputError, SimulationError, did_you_mean, number_range, shown
 from zeno_orbits.orbits import ReturnMap
 from zeno_orbits.work import ByValue, Columns, Progress, TableRepr, silent, versions
 
@@ -341,10 +341,12 @@ def _loop(returns: ReturnMap, inputs: Sequence[str], delay: bool) -> tuple[Vecto
 
 def _checked_inputs(returns: ReturnMap, inputs: Inputs) -> tuple[str, ...]:
     known = (*returns.gain_names, *returns.parameter_names)
-    names = (inputs,) if isinstance(inputs, str) else tuple(inputs)
+    names: tuple[Any, ...] = (inputs,) if isinstance(inputs, str) else tuple(inputs)
     if not names:
         raise InputError("Argument `inputs` must name at least one gain or parameter.")
     for k, name in enumerate(names):
+        if not isinstance(name, str):
+            raise InputError(f"Argument `inputs` must name parameters by texts, not {shown(name)}.")
         if name not in known:
             hint = did_you_mean(name, known)
             told = f"unknown gain or parameter `{name}`.{hint} Known: {', '.join(known)}"
@@ -379,7 +381,7 @@ def _range_of(returns: ReturnMap, inputs: Inputs, name: str) -> tuple[float, flo
     value = returns.values.number(name)
     given = inputs.get(name) if isinstance(inputs, Mapping) else None
     if given is not None:
-        low, high = given
+        low, high = number_range("inputs", given, name)
         if not low <= value <= high:
             told = f"{low:g}:{high:g} of `{name}` lacks its value {value:.9g} in the orbit"
             raise InputError(f"Argument `inputs`: the range {told}.")

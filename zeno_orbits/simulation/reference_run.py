@@ -1297,7 +1297,7 @@ class ReferenceRun(StopRun):
         if start.time not in self.seen.switches.get(name, ())[-1:]:
             return True
         switches = (one.name for one in reversed(self.events) if isinstance(one, SwitchEvent))
-        if name != next(one for one in switches if one in declared):
+        if name != next((one for one in switches if one in declared), name):
             raise switches_accumulate(name, start.time, start.state)
         return False
 
