@@ -111,8 +111,13 @@ def _directive(name: str) -> tuple[str, ...]:
         # Results share how they become tables; nothing else of a base class is for users.
         shared = ("   :inherited-members:",) if issubclass(value, TableRepr) else ()
         return (f".. autoclass:: zeno_orbits.{name}", "   :members:", *shared)
-    kind = "autofunction" if inspect.isfunction(value) else "autodata"
-    return (f".. {kind}:: zeno_orbits.{name}",)
+    if inspect.isfunction(value):
+        return (f".. autofunction:: zeno_orbits.{name}",)
+    # The text of a value stands where it is defined.
+    stub = Path(zeno_orbits.__file__).with_suffix(".pyi").read_text()
+    home = re.search(rf"^from \.(\S+) import {name} as", stub, re.MULTILINE)
+    where = f"zeno_orbits.{home[1]}" if home else "zeno_orbits"
+    return (f".. autodata:: {where}.{name}", "   :no-value:")
 
 
 def _write(path: Path, text: str) -> None:
