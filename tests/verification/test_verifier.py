@@ -23,7 +23,14 @@ from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import Automatic, Segment, SegmentResult, Tolerance
-from zeno_orbits.model import CompletedSystem, HybridDynamics, Problem, StateLimit, load_problem
+from zeno_orbits.model import (
+    CompletedSystem,
+    HybridDynamics,
+    Problem,
+    StateLimit,
+    hybrid_system,
+    load_problem,
+)
 from zeno_orbits.orbits import Orbit, OrbitImpact, PhaseKind
 from zeno_orbits.search import orbit_at_gains, orbit_by_shooting
 from zeno_orbits.simulation import (
@@ -665,7 +672,7 @@ def test_a_power_that_the_motion_does_not_take_fails_alone(orbit: Orbit, problem
     def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         system = problem.model(p)
         drive = replace(system.drive, input_power=(1 + 1e-6) * system.drive.input_power)
-        return replace(system, drive=drive)
+        return hybrid_system(system.bare, drive, p["restitution"])
 
     seen = verify(orbit, replace(problem, model=model, reference=None), settings=QUICK)
     assert seen.failed == ("energy_balance",)
