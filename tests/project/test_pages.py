@@ -66,7 +66,7 @@ LONG = {
     for name in (
         *("README", "accuracy", "examples", "families", "mapping", "measured_data", "no_orbit"),
         *("export", "feedback", "gallery", "own_tests", "problems", "prove_an_orbit"),
-        *("pushes", "report"),
+        *("phone_recording", "pushes", "report", "scatter", "swing_down", "wrong_model"),
         *("rig", "scale", "searching", "several_stops"),
         *("stability", "tutorial", "tutorial_python", "what_a_proof_proves", "zeno_model"),
     )
