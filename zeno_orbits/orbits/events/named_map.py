@@ -13,14 +13,14 @@ The states of a section are those just after its event, or just before it if it 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
-from zeno_orbits.errors import InputError, SimulationError, did_you_mean
+from zeno_orbits.errors import InputError, did_you_mean
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits.events.return_map import Surface, cause_at, on_surface, surface_of
 from zeno_orbits.orbits.events.section import (
@@ -33,15 +33,14 @@ from zeno_orbits.orbits.events.section import (
 )
 from zeno_orbits.orbits.looser_run import relaxed_settings
 from zeno_orbits.orbits.orbit import Orbit
-from zeno_orbits.orbits.section import coordinates_of, section_of
+from zeno_orbits.orbits.section import Section, coordinates_of, section_of
 from zeno_orbits.orbits.sequences import accumulating_events, orbit_event_name, sequence_of
 from zeno_orbits.simulation import SimulationSettings, SwitchEvent
 from zeno_orbits.work import Columns, TableRepr, versions
 
-_CORRECTIONS, _ON = 30, 1e-9
-"""Corrections of a state onto its section, and one in scaled states above which it is off."""
-_EXACT, _RANK = 1e-15, 1e-9
-"""Correction that is rounding, and relative singular value below which conditions depend."""
+_MOVES, _RANK = 1e-9, 1e-9
+"""Relative change of a state above which a section moves, and relative singular value below which
+conditions depend."""
 _CLOSED = 1e-6
 """Relative change over a period of an orbit that is closed."""
 
@@ -160,7 +159,7 @@ class ReturnMap(TableRepr):
         lift = self._lift(self._surface, self._centre, (place,))
         scale = largest_states(self._return.execution.arcs, self._surface.graph)
         size = abs(self.values.number(name)) or 1.0
-        return bool(np.max(np.abs(lift[:-1, -1]) * size / scale) > _ON)
+        return bool(np.max(np.abs(lift[:-1, -1]) * size / scale) > _MOVES)
 
     @property
     def jacobian(self) -> Vector:
@@ -405,33 +404,23 @@ class ReturnMap(TableRepr):
         return full
 
     def _surface_at(self, values: ParameterValues) -> Surface:
-        known = self._surface
-        graph = self.problem.graph_dynamics(values)
-        return Surface(graph=graph, mode=known.mode, rows=known.rows, switch=known.switch)
+        return replace(self._surface, graph=self.problem.graph_dynamics(values))
+
+    @cached_property
+    def _chart(self) -> Section:
+        """The chart of the section in the coordinates: corrections move the other states alone."""
+        centre, others = self._centre, self._others
+        scale = largest_states(self._return.execution.arcs, self._surface.graph)
+        gradient = self._surface.gradient(centre) * scale
+        normal = np.zeros(gradient.T.shape)
+        normal[others] = _inverse(gradient[:, others])
+        tangent = self._lift(self._surface, centre, ()) * scale[self._chosen] / scale[:, None]
+        return replace(section_of(gradient, centre, scale), tangent=tangent, normal=normal)
 
     def _on(self, surface: Surface, point: Vector) -> Vector:
         """Return the state of a section with given coordinates, ``(n_x,)``."""
-        x, others = self._centre.copy(), self._others
-        x[self._chosen] = point
-        scale = largest_states(self._return.execution.arcs, surface.graph)
-        size = np.inf
-        for _ in range(_CORRECTIONS if others else 0):
-            gradient = surface.gradient(x)[:, others] * scale[others]
-            rows = np.linalg.norm(gradient, axis=1)
-            rows[rows == 0.0] = 1.0
-            values = surface.values(x) / rows
-            if not np.all(np.isfinite(values)):
-                break
-            inverse = _inverse(gradient / rows[:, None])
-            change = inverse @ values
-            x[others] -= scale[others] * change
-            size = float(np.max(np.abs(change)))
-            if size <= _EXACT:
-                break
-        if (others and not size <= _ON) or not surface.occurs(x):
-            reason = f"The event `{self.event}` does not occur here"
-            raise SimulationError(reason, time=0.0, state=tuple(x.tolist()))
-        return x
+        away = (point - self.fixed_point) / self._chart.scale[self._chosen]
+        return surface.state(self._chart, away, self.event)
 
     def _returned(
         self,
@@ -494,8 +483,6 @@ class ReturnMap(TableRepr):
         n_x, d, others = x.size, len(self.coordinates), self._others
         scale = largest_states(self._return.execution.arcs, surface.graph)
         gradient = surface.gradient(x, moving)
-        rows = np.linalg.norm(gradient[:, :n_x] * scale, axis=1)
-        gradient = gradient / np.where(rows > 0.0, rows, 1.0)[:, None]
         inverse = _inverse(gradient[:, others] * scale[others])
         kept = np.concatenate([gradient[:, self._chosen], gradient[:, n_x:]], axis=1)
         lift = np.zeros((n_x + len(moving), d + len(moving)))
@@ -563,7 +550,11 @@ def return_map_of(
 
 
 def _inverse(matrix: Vector) -> Vector:
-    return np.asarray(np.linalg.pinv(matrix, rcond=_RANK), dtype=np.float64)
+    """Return the pseudo-inverse of rows that have different units."""
+    sizes = np.linalg.norm(matrix, axis=1)
+    sizes[sizes == 0.0] = 1.0
+    inverse = np.asarray(np.linalg.pinv(matrix / sizes[:, None], rcond=_RANK), dtype=np.float64)
+    return inverse / sizes
 
 
 def _require_section(section: str, names: Sequence[str]) -> None:

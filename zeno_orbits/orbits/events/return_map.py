@@ -105,6 +105,24 @@ class Surface:
             parts.append(gradient[None, :])
         return np.concatenate(parts)
 
+    def state(self, section: Section, coordinates: Vector, event: str) -> Vector:
+        """Return the state of the set at coordinates of a chart, ``(n_x,)``.
+
+        Args:
+            section: The chart.
+            coordinates: The coordinates, ``(d,)``.
+            event: Name of the event, for the message.
+
+        Raises:
+            SimulationError: If the event does not occur there.
+        """
+        x = section.root(self.values, coordinates, self.gradient)
+        off = section.normal @ self.values(x)
+        if np.max(np.abs(off), initial=0.0) > _ON or not self.occurs(x):
+            reason = f"The event `{event}` does not occur here"
+            raise SimulationError(reason, time=0.0, state=tuple(x.tolist()))
+        return x
+
     def reset(self, x: Vector) -> Vector:
         """Return the state from which the motion goes on, ``(n_x,)``."""
         if self.switch is None or self.switch >= self.graph.n_declared:
@@ -177,11 +195,7 @@ class EventChart:
 
     def _start(self, coordinates: Vector) -> Vector:
         """Return the state just after the event at section coordinates, ``(n_x,)``."""
-        x = self.section.root(self.surface.values, coordinates, self.surface.gradient)
-        off = self.section.normal @ self.surface.values(x)
-        if np.max(np.abs(off), initial=0.0) > _ON or not self.surface.occurs(x):
-            reason = f"The event `{self.orbit.section}` does not occur here"
-            raise SimulationError(reason, time=0.0, state=tuple(x.tolist()))
+        x = self.surface.state(self.section, coordinates, self.orbit.section)
         return self.surface.reset(x)
 
 
