@@ -16,8 +16,9 @@ States are measured in their largest values, inputs in their own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -143,25 +144,33 @@ class Feedback(TableRepr):
         if n < 0:
             raise InputError(f"Argument `n` must not be negative, but it is {shown(n)}.")
         points, inputs, times = [np.asarray(x, dtype=np.float64)], list[Vector](), [0.0]
-        used, lost = self.centre, ""
-        if not self.delay:
-            used = self.inputs_at(points[0])
-        for _ in range(n):
-            try:
-                point, time = self._returned(points[-1], used)
-            except SimulationError as error:
-                lost = str(error)
-                break
-            inputs.append(used)
-            used = self.inputs_at(points[-1], used) if self.delay else self.inputs_at(point)
-            points.append(point)
-            times.append(times[-1] + time)
+        lost = ""
+        try:
+            for point, used, _, time in islice(self._loop_from(points[0]), n):
+                points.append(point)
+                inputs.append(used)
+                times.append(times[-1] + time)
+        except SimulationError as error:
+            lost = str(error)
         return HeldMotion(
             points=np.array(points),
             inputs=np.array(inputs).reshape(-1, len(self.inputs)),
             times=np.array(times),
             lost=lost,
         )
+
+    def _loop_from(self, x: Vector) -> Iterator[tuple[Vector, Vector, Vector, float]]:
+        """Yield each return: its point, the inputs until then and after it, and its time [s].
+
+        Raises:
+            SimulationError: If the motion does not return.
+        """
+        point, used = x, self.centre if self.delay else self.inputs_at(x)
+        while True:
+            new, time = self._returned(point, used)
+            after = self.inputs_at(point, used) if self.delay else self.inputs_at(new)
+            yield new, used, after, time
+            point, used = new, after
 
     def _returned(self, x: Vector, used: Vector) -> tuple[Vector, float]:
         numbers = dict(zip(self.inputs, used.tolist(), strict=True))
@@ -231,21 +240,15 @@ class Feedback(TableRepr):
 
     def _comes_back(self, away: Vector, n: int) -> bool:
         """Return True if a disturbance decays."""
-        point, sizes = self.returns.fixed_point + away, self.returns.sizes
-        used = self.centre if self.delay else self.inputs_at(point)
-        for _ in range(n):
-            try:
-                new, _ = self._returned(point, used)
-            except SimulationError:
-                return False
-            used = self.inputs_at(point, used) if self.delay else self.inputs_at(new)
-            point = new
-            off = np.max(np.abs(point - self.returns.fixed_point) / sizes)
-            if (
-                off < _BACK
-                and np.max(np.abs(used - self.centre) / _input_sizes(self.centre)) < _BACK
-            ):
-                return True
+        centre, sizes = self.returns.fixed_point, self.returns.sizes
+        try:
+            for point, _, after, _ in islice(self._loop_from(centre + away), n):
+                off = float(np.max(np.abs(point - centre) / sizes))
+                acts = np.max(np.abs(after - self.centre) / _input_sizes(self.centre))
+                if max(off, float(acts)) < _BACK:
+                    return True
+        except SimulationError:
+            return False
         return False
 
     def as_json(self) -> dict[str, Any]:
