@@ -148,29 +148,28 @@ def laws_of(
             raise InputError(
                 f"Argument `law` must name {', '.join(LAWS)}, but it names `{law}`.{hint}"
             )
-    names = [quantity.name for quantity in problem.parameters]
-    if "restitution" not in names:
+    if "restitution" not in values.parameters:
         raise InputError(
             "Argument `law` needs a problem whose restitution is the parameter `restitution`, but "
             f"`{problem.name}` lacks it."
         )
-    fits: list[LawFit] = []
+    fits, speed = list[LawFit](), _largest_speed(problem, values)
     for law in (one for one in LAWS if one in laws):
         if law == "constant":
             fits.append(LawFit(law=law, found=fitted(problem, values, {})))
             continue
-        other, box = _with_law(problem, values, law, names)
+        other, box = _with_law(problem, values, law, speed)
         numbers = other.values(gains=values.gains, parameters=values.parameters)
         fits.append(LawFit(law=law, found=fitted(other, numbers, {LAWS[law]: box})))
     return LawComparison(problem=problem.name, fits=tuple(fits))
 
 
 def _with_law(
-    problem: Problem, values: ParameterValues, law: str, names: Sequence[str]
+    problem: Problem, values: ParameterValues, law: str, speed: float
 ) -> tuple[Problem, tuple[float, float]]:
     """Return a problem with another law of impact, and the range of its further parameter."""
-    further, speed = LAWS[law], _largest_speed(problem, values)
-    if further in names:
+    further = LAWS[law]
+    if further in values.parameters:
         raise InputError(
             f"Argument `law`: the law `{law}` has the parameter `{further}`, and so has "
             f"`{problem.name}`. Write the law into the problem, and fit its parameters."
