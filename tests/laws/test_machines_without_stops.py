@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,32 +31,23 @@ HYSTERESIS, DAMPING = 0.2, 0.5
 G = 9.81
 
 
-def loop_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+def _loop(p: Mapping[str, ca.SX], *, is_past_armed: bool) -> zo.CompletedSystem:
     """Return a spring and damper under a force of unit size, which a relay with hysteresis sets."""
     x, v, side = ca.SX.sym("x"), ca.SX.sym("v"), ca.SX.sym("side")
     plant = zo.HybridLagrangian.from_energies(
         q=x, v=v, kinetic=v**2 / 2, potential=x**2 / 2, passive_force=-DAMPING * v
     )
     relay = zo.Auxiliary(states=side, rate=ca.SX(0), force=side, input_power=side * v)
+    # By its side a switch is armed before it occurs, by the speed also just after that.
+    armed = v if is_past_armed else side
     switches = (
-        zo.Switch(name="on", guard=x + p["h"], armed=-side, others_after=ca.SX(1)),
-        zo.Switch(name="off", guard=p["h"] - x, armed=side, others_after=ca.SX(-1)),
+        zo.Switch(name="on", guard=x + p["h"], armed=-armed, others_after=ca.SX(1)),
+        zo.Switch(name="off", guard=p["h"] - x, armed=armed, others_after=ca.SX(-1)),
     )
     return zo.hybrid_system(plant, relay, switches=switches)
 
 
-def armed_by_speed(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
-    """Return the same machine with switches that are still armed just after they occurred."""
-    x, v, side = ca.SX.sym("x"), ca.SX.sym("v"), ca.SX.sym("side")
-    plant = zo.HybridLagrangian.from_energies(
-        q=x, v=v, kinetic=v**2 / 2, potential=x**2 / 2, passive_force=-DAMPING * v
-    )
-    relay = zo.Auxiliary(states=side, rate=ca.SX(0), force=side, input_power=side * v)
-    switches = (
-        zo.Switch(name="on", guard=x + p["h"], armed=-v, others_after=ca.SX(1)),
-        zo.Switch(name="off", guard=p["h"] - x, armed=v, others_after=ca.SX(-1)),
-    )
-    return zo.hybrid_system(plant, relay, switches=switches)
+loop_model, armed_by_speed = (partial(_loop, is_past_armed=one) for one in (False, True))
 
 
 def relay_loop(model: Any = loop_model) -> zo.Problem:
