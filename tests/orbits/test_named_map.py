@@ -197,6 +197,18 @@ def test_wrong_input_is_named(pendulum: zo.Orbit, work: Any, told: str) -> None:
     assert told in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [({"m": -1.0}, "`m` must be greater than 0"), ({"restitution": 1.5}, "must lie in [0, 1]")],
+)
+def test_values_that_the_problem_excludes_are_refused(
+    hopper: zo.ReturnMap, values: dict[str, float], told: str
+) -> None:
+    with pytest.raises(InputError) as error:
+        hopper.map([1.0], parameters=values)
+    assert told in str(error.value)
+
+
 def test_a_motion_that_does_not_return_is_an_error(pendulum: zo.Orbit) -> None:
     found = zo.return_map(pendulum)
     with pytest.raises(SimulationError):

@@ -368,17 +368,22 @@ class ReturnMap(TableRepr):
         return point
 
     def _values(self, gains: Numbers, parameters: Numbers) -> ParameterValues:
-        numbers: dict[str, float] = {}
+        """Return the orbit's values, some of them replaced by numbers that the problem allows."""
+        known = self.values
+        if gains is None and parameters is None:
+            return known
         groups = (
             ("gains", gains, self.gain_names),
             ("parameters", parameters, self.parameter_names),
         )
-        for argument, given, names in groups:
-            if given is not None:
-                own = np.array([self.values.number(name) for name in names])
-                full = self._vector(argument, given, names, own)
-                numbers.update(zip(names, full.tolist(), strict=True))
-        return self.values.replaced(numbers) if numbers else self.values
+        numbers = {
+            argument: self._vector(argument, given, names, np.array([*map(known.number, names)]))
+            for argument, given, names in groups
+        }
+        return self.problem.values(
+            gains=dict(zip(self.gain_names, numbers["gains"].tolist(), strict=True)),
+            parameters=dict(zip(self.parameter_names, numbers["parameters"].tolist(), strict=True)),
+        )
 
     def _vector(
         self, argument: str, given: Numbers, names: tuple[str, ...], rest: Vector | None = None
