@@ -7,14 +7,42 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from zeno_orbits.errors import InputError, shown
 
 Vector = NDArray[np.float64]
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Scalar = Callable[[Vector], float]
+
+
+def finite_vector(argument: str, value: Any, *, of: Sequence[str] | None = None) -> Vector:
+    """Return a list of finite numbers as an array, ``(n,)``.
+
+    Args:
+        argument: Name of the argument, for the message.
+        value: The numbers: a sequence or an array.
+        of: Name of each number. The default is any number of numbers.
+
+    Raises:
+        InputError: If the value is something else, or a number is missing.
+    """
+    try:
+        found = np.asarray(value)
+    except (TypeError, ValueError, RuntimeError, NotImplementedError):
+        found = np.array(None)
+    listed = found.ndim == 1 and (found.size == 0 or found.dtype.kind in "fiu")
+    numbers = found.astype(np.float64) if listed else np.array([math.nan])
+    if not np.all(np.isfinite(numbers)) or (of is not None and numbers.size != len(of)):
+        wanted = "finite numbers" if of is None else f"{len(of)} finite numbers"
+        names = "" if of is None else f" ({', '.join(of) or 'none'})"
+        message = f"Argument `{argument}` must be a list of {wanted}{names}, but it is"
+        raise InputError(f"{message} {shown(value)}.")
+    return numbers
 
 
 def null_space(matrix: Array, rcond: float | None = None) -> Array:

@@ -83,6 +83,29 @@ def samples() -> zo.Recording:
     return zo.sample_execution(ball(), motion())
 
 
+@cache
+def stability() -> zo.Stability:
+    return zo.floquet_multipliers(orbit())
+
+
+@cache
+def returns() -> zo.ReturnMap:
+    return zo.return_map(orbit())
+
+
+@cache
+def held() -> zo.Feedback:
+    return zo.design_feedback(orbit(), ["Kd"])
+
+
+def numbers() -> zo.ParameterValues:
+    return ball().values()
+
+
+def shape() -> zo.EventSequence:
+    return zo.EventSequence.parsed("zeno")
+
+
 def system(symbols: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     return zo.hybrid_system(mechanism(), zo.no_drive(mechanism()), symbols["restitution"])
 
@@ -235,6 +258,64 @@ RESULTS = (
 """Results, which functions make, and names that are not called."""
 
 
+METHODS: dict[Callable[[], Any], dict[str, dict[str, Callable[[], Any]]]] = {
+    motion: {
+        "state_at": {"time": lambda: 0.1},
+        "states_at": {"times": lambda: [0.1]},
+        "sampled": {},
+        "returns": {"period": lambda: 0.1},
+    },
+    orbit: {
+        "values": {"problem": lambda: zo.load_problem("motor_pendulum")},
+        "machine": {"problem": lambda: zo.load_problem("motor_pendulum")},
+        "with_phases": {"phases": lambda: orbit().phases},
+    },
+    samples: {"signal": {"name": lambda: samples().names[0]}},
+    run: {
+        "of": {"name": lambda: run().state_names[0]},
+        "between": {"start": lambda: 0.0, "end": lambda: 0.005},
+    },
+    stability: {"periods_to": {"part": lambda: 0.1}, "time_to": {"part": lambda: 0.1}},
+    returns: {
+        **{name: {"x": lambda: returns().fixed_point} for name in ("map", "slopes", "state")},
+        "jvp": {"x": lambda: returns().fixed_point, "change": lambda: np.zeros(3)},
+        "vjp": {"x": lambda: returns().fixed_point, "weights": lambda: np.zeros(3)},
+        "point": {"state": lambda: returns().state(returns().fixed_point)},
+        "moves_section": {"name": lambda: "Kd"},
+    },
+    held: {
+        "inputs_at": {"x": lambda: returns().fixed_point},
+        "run": {"x": lambda: returns().fixed_point, "n": lambda: 1},
+        "extent": {"coordinate": lambda: returns().coordinates[0]},
+    },
+    ball: {
+        **{
+            name: {"values": lambda: ball().values()}
+            for name in (
+                *("dynamics", "graph_dynamics", "system", "first_system", "shared"),
+                *("require_zeno_points", "admissible_starts"),
+            )
+        },
+        **{
+            name: {"values": lambda: ball().values(), "states": lambda: np.zeros((1, 2))}
+            for name in ("output_values", "drawn_lines", "inverse_masses")
+        },
+        "values": {},
+        "initial_state": {},
+        "state_vector": {"named": dict},
+        "impulse_unit": {"unit": lambda: "m"},
+        "at_fidelity": {"word": lambda: "point"},
+        "quantity": {"name": lambda: "m"},
+        "place": {"name": lambda: "m"},
+        "require_range": {"name": lambda: "m", "box": lambda: (1.0, 2.0)},
+    },
+    numbers: {"number": {"name": lambda: "m"}, "replaced": {"numbers": dict}},
+    zo.SearchSettings: {"for_accuracy": {"accuracy": lambda: 1e-3}},
+    shape: {"agreed": {"wanted": shape}, "at_restitution": {"restitution": lambda: 0.5}},
+}
+"""Methods of results, by the function that makes one, with sound values of their parameters."""
+
+
 @dataclass(frozen=True)
 class Door:
     """A public function or class, or a method that makes one.
@@ -273,6 +354,10 @@ def doors() -> tuple[Door, ...]:
         if "on_progress" in known:
             sound["on_progress"] = lambda: _end
         doors.append(Door(name, call, sound))
+    for make, methods in METHODS.items():
+        for name, sound in methods.items():
+            one = make()
+            doors.append(Door(f"{type(one).__name__}.{name}", getattr(one, name), sound))
     return tuple(doors)
 
 

@@ -179,15 +179,18 @@ def test_plain_data_has_all_matrices(pendulum: zo.Orbit) -> None:
             lambda one: zo.return_map(one, "release floor"),
             "`section` must be an event of the orbit",
         ),
-        (lambda one: zo.return_map(one).map([1.0]), "`x` must be 2 finite numbers: dtheta1, curr"),
-        (lambda one: zo.return_map(one).map([1.0, np.nan]), "`x` must be 2 finite numbers"),
+        (
+            lambda one: zo.return_map(one).map([1.0]),
+            "`x` must be a list of 2 finite numbers (dtheta1, current), but it is `[1.0]`",
+        ),
+        (lambda one: zo.return_map(one).map([1.0, np.nan]), "`x` must be a list of 2 finite"),
         (lambda one: zo.return_map(one).map([1.0, 1.0], {"kp": 2}), "`gains` has no `kp`. Did you"),
-        (lambda one: zo.return_map(one).map([1.0, 1.0], [2.0]), "`gains` must be 2 numbers"),
+        (lambda one: zo.return_map(one).map([1.0, 1.0], [2.0]), "`gains` must be a list of 2"),
         (
             lambda one: zo.return_map(one).map([1.0, 1.0], parameters={"restitution": np.inf}),
-            "`parameters` must hold finite numbers",
+            "`restitution` must be a finite number",
         ),
-        (lambda one: zo.return_map(one).vjp([1.0, 1.0], [1.0]), "`weights` must be 2 finite"),
+        (lambda one: zo.return_map(one).vjp([1.0, 1.0], [1.0]), "`weights` must be a list of 2"),
         (lambda one: zo.return_map(one).point({"current": 1.0}), "`state` must have `dtheta1`"),
     ],
 )

@@ -23,10 +23,10 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector, eigenvalues
+from zeno_orbits.arrays import Vector, eigenvalues, finite_vector
 from zeno_orbits.errors import InputError, SimulationError, did_you_mean, number_range, shown
 from zeno_orbits.orbits import ReturnMap
-from zeno_orbits.work import ByValue, Columns, Progress, TableRepr, silent, versions
+from zeno_orbits.work import ByValue, Columns, Progress, TableRepr, checked, silent, versions
 
 Inputs = Sequence[str] | Mapping[str, tuple[float, float] | None]
 """Gains and parameters that are held, with or without their ranges."""
@@ -124,13 +124,19 @@ class Feedback(TableRepr):
             x: Coordinates of the return, ``(d,)``.
             in_use: With a delay, the inputs until the next return. The default is the orbit's.
         """
-        away = np.asarray(x, dtype=np.float64) - self.returns.fixed_point
+        away = self._point(x) - self.returns.fixed_point
         if self.delay:
-            used = self.centre if in_use is None else np.asarray(in_use, dtype=np.float64)
+            used = (
+                self.centre if in_use is None else finite_vector("in_use", in_use, of=self.inputs)
+            )
             away = np.concatenate([away, used - self.centre])
         low, high = np.array(self.limits).T
         return np.clip(self.centre - self.gain @ away, low, high)
 
+    def _point(self, x: Any) -> Vector:
+        return finite_vector("x", x, of=self.returns.coordinates)
+
+    @checked
     def run(self, x: Any, n: int) -> HeldMotion:
         """Return a motion over `n` returns, each by simulation.
 
@@ -143,7 +149,7 @@ class Feedback(TableRepr):
         """
         if n < 0:
             raise InputError(f"Argument `n` must not be negative, but it is {shown(n)}.")
-        points, inputs, times = [np.asarray(x, dtype=np.float64)], list[Vector](), [0.0]
+        points, inputs, times = [self._point(x)], list[Vector](), [0.0]
         lost = ""
         try:
             for point, used, _, time in islice(self._loop_from(points[0]), n):
@@ -179,6 +185,7 @@ class Feedback(TableRepr):
         others = {name: numbers[name] for name in self.inputs if name not in known.gain_names}
         return known.returned(x, gains, others)
 
+    @checked
     def extent(
         self,
         coordinate: str,

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, cast
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, any_number, finite_number, named_numbers
+from zeno_orbits.arrays import Vector, finite_vector
+from zeno_orbits.errors import InputError, finite_number, named_numbers, number_range
 from zeno_orbits.model.contact import require_zeno_points
 from zeno_orbits.model.drawing import DrawingFunction, lines_of
 from zeno_orbits.model.expressions.formula_units import unit_of
@@ -49,6 +49,7 @@ from zeno_orbits.model.validation import (
     require_states,
     unused_symbols,
 )
+from zeno_orbits.work import checked as of_kinds
 from zeno_orbits.work import require_kinds
 
 if TYPE_CHECKING:
@@ -148,6 +149,7 @@ class Problem(Declared):
         """Return the model as functions of the state and the parameter vector, built once."""
         return _compiled(self)
 
+    @of_kinds
     def dynamics(self, values: ParameterValues | Sequence[float] | Vector) -> HybridDynamics:
         """Return the flows, guards and resets of the model at given parameter values.
 
@@ -156,9 +158,16 @@ class Problem(Declared):
         """
         from zeno_orbits.model.numeric.binding import bind
 
-        vector = values.vector if isinstance(values, ParameterValues) else values
+        vector = self._vector_of(values)
         return bind(_compiled(self), vector)
 
+    def _vector_of(self, values: ParameterValues | Sequence[float] | Vector) -> Sequence[float]:
+        """Return the parameter vector of values."""
+        if isinstance(values, ParameterValues):
+            return values.vector
+        return finite_vector("values", values, of=self.names).tolist()
+
+    @of_kinds
     def require_zeno_points(self, values: ParameterValues) -> None:
         """Refuse elastic impacts on the first stop, for what needs a Zeno point.
 
@@ -226,6 +235,7 @@ class Problem(Declared):
         """
         return _compiled_graph(self)
 
+    @of_kinds
     def graph_dynamics(self, values: ParameterValues | Sequence[float] | Vector) -> GraphDynamics:
         """Return the graph of modes of a machine, as `compiled_graph` has it.
 
@@ -234,9 +244,10 @@ class Problem(Declared):
         """
         from zeno_orbits.model.numeric.graph_dynamics import GraphDynamics
 
-        vector = values.vector if isinstance(values, ParameterValues) else values
+        vector = self._vector_of(values)
         return GraphDynamics(_compiled_graph(self), vector)
 
+    @of_kinds
     def system(
         self, values: ParameterValues | Sequence[float] | Vector
     ) -> HybridDynamics | GraphDynamics:
@@ -247,6 +258,7 @@ class Problem(Declared):
         """
         return self.graph_dynamics(values) if self.has_graph else self.dynamics(values)
 
+    @of_kinds
     def first_system(self, values: ParameterValues | Sequence[float] | Vector) -> HybridDynamics:
         """Return the system of the first stop, with the other stops open.
 
@@ -268,6 +280,7 @@ class Problem(Declared):
         """Indices of the clock in the state, empty for an unforced problem."""
         return _built(self)[0].clock
 
+    @of_kinds
     def output_values(self, values: ParameterValues, states: Vector) -> Vector:
         """Return the outputs at states, one column per output, ``(n, n_outputs)``.
 
@@ -282,6 +295,7 @@ class Problem(Declared):
         formulas = ca.vertcat(*self.output_formulas(system, symbols))
         return tabulate(formulas, system, symbols, values.vector, states)
 
+    @of_kinds
     def drawn_lines(self, values: ParameterValues, states: Vector) -> dict[str, Vector]:
         """Return the lines of the drawing at states, name to corners ``(n, n_corners, 2)`` [m].
 
@@ -304,6 +318,7 @@ class Problem(Declared):
             first = last
         return found
 
+    @of_kinds
     def inverse_masses(self, values: ParameterValues, states: Vector) -> tuple[Vector, Vector]:
         """Return the inverse mass on the constraints and the kinetic energy at states.
 
@@ -325,6 +340,7 @@ class Problem(Declared):
         entries = tabulate(formula, system, symbols, values.vector, states)
         return entries[:, :-1].reshape(-1, n_q, n_q), entries[:, -1]
 
+    @of_kinds
     def impulse_unit(self, unit: str) -> str:
         """Return the unit of an impulse along a coordinate: its energy over its velocity.
 
@@ -445,6 +461,7 @@ class Problem(Declared):
             return derived
         return [name for name in derived if before[name] != after[name]]
 
+    @of_kinds
     def at_fidelity(self, word: str) -> Problem:
         """Return the reduced model of that name, whose own name is ``problem@word``.
 
@@ -466,6 +483,7 @@ class Problem(Declared):
         """Return the problem and its reduced models, as they are declared."""
         return (self, *(self.at_fidelity(word) for word in self.fidelities))
 
+    @of_kinds
     def shared(self, values: ParameterValues) -> ParameterValues:
         """Return another fidelity's values for the names that this fidelity has."""
         known = {quantity.name for quantity in self.parameters}
@@ -498,6 +516,7 @@ class Problem(Declared):
         """Names of gains, then of parameters, in the order of the parameter vector."""
         return tuple(quantity.name for quantity in self.quantities)
 
+    @of_kinds
     def quantity(self, name: str, *, argument: str = "name") -> Quantity:
         """Return the gain or parameter of that name.
 
@@ -510,6 +529,7 @@ class Problem(Declared):
         """
         return self.quantities[self.place(name, argument=argument)]
 
+    @of_kinds
     def place(self, name: str, *, argument: str = "name") -> int:
         """Return the index of a gain or parameter in the parameter vector.
 
@@ -524,6 +544,7 @@ class Problem(Declared):
             raise InputError(unknown(argument, str(name), self.names))
         return self.names.index(name)
 
+    @of_kinds
     def require_range(
         self, name: str, box: tuple[float, float], *, argument: str = "name"
     ) -> Quantity:
@@ -541,7 +562,7 @@ class Problem(Declared):
                 range is an invalid value of a parameter.
         """
         quantity = self.quantity(name, argument=argument)
-        low, high = (any_number(argument, end) for end in box)
+        low, high = number_range(argument, box, name)
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             wanted = f"must have finite bounds LOWER < UPPER for `{name}`"
             raise InputError(f"Argument `{argument}` {wanted}, but they are {low:g}:{high:g}.")
@@ -621,6 +642,7 @@ class Problem(Declared):
         units = [*states, *((symbols[name], self.units[name]) for name in self.names)]
         return {stop.name: stop.unit or unit_of(stop.gap, units) for stop in stops}
 
+    @of_kinds
     def state_vector(
         self, named: Start, values: ParameterValues | None = None
     ) -> tuple[float, ...]:
@@ -636,6 +658,7 @@ class Problem(Declared):
         """
         return state_of(named, self.state_names, lambda: (values or self.values()).numbers)
 
+    @of_kinds
     def initial_state(
         self, start: Start | None = None, values: ParameterValues | None = None
     ) -> tuple[float, ...]:
@@ -656,6 +679,7 @@ class Problem(Declared):
             return self.state_vector(self.starts[0])
         return self._declared(self.starts[0], values)
 
+    @of_kinds
     def admissible_starts(self, values: ParameterValues) -> tuple[tuple[float, ...], ...]:
         """Return the problem's initial states that are admissible, each ``(n_x,)``.
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.errors import InputError, finite_number, not_known, shortened
+from zeno_orbits.errors import InputError, finite_number, named_numbers, not_known, shortened
 from zeno_orbits.model.expressions.units import powers_of
 from zeno_orbits.work import require_kinds
 
@@ -178,11 +178,21 @@ class ParameterValues:
         """
         try:
             return self.gains[name] if name in self.gains else self.parameters[name]
-        except (KeyError, TypeError):
+        except (KeyError, TypeError, NotImplementedError):
+            # Symbols of CasADi have no hash.
             raise InputError(unknown("name", shortened(str(name)), tuple(self.numbers))) from None
 
     def replaced(self, numbers: Mapping[str, float]) -> ParameterValues:
-        """Return the values with replacements for some names. Derived values do not change."""
+        """Return the values with replacements for some names. Derived values do not change.
+
+        Raises:
+            InputError: If a name is unknown or a value is not a finite number.
+        """
+        known, numbers = self.numbers, named_numbers("numbers", numbers)
+        for name, value in numbers.items():
+            if name not in known:
+                raise InputError(unknown("numbers", shortened(name), tuple(known)))
+            finite_number(name, value)
         return ParameterValues(
             gains={name: numbers.get(name, value) for name, value in self.gains.items()},
             parameters={name: numbers.get(name, value) for name, value in self.parameters.items()},

@@ -18,7 +18,7 @@ from zeno_orbits.model import (
 from zeno_orbits.orbits.digest import digest_of
 from zeno_orbits.orbits.sequences import kind_of_events, sequence_of
 from zeno_orbits.orbits.shape import EventSequence, PhaseKind
-from zeno_orbits.work import Columns, TableRepr, by_name, versions
+from zeno_orbits.work import Columns, TableRepr, by_name, checked, versions
 
 FORMAT = 3
 """Version of the file format. It is the newest version that this code can read."""
@@ -253,6 +253,7 @@ class Orbit(TableRepr):
             raise InputError(f"Argument `orbit` {wanted}.")
         return points[0]
 
+    @checked
     def with_phases(self, phases: Sequence[OrbitPhase]) -> Orbit:
         """Return the orbit with other phases of its one stop.
 
@@ -286,6 +287,7 @@ class Orbit(TableRepr):
             **digest,
         }
 
+    @checked
     def values(self, problem: Problem) -> ParameterValues:
         """Return the orbit's parameter values for its problem.
 
@@ -294,6 +296,7 @@ class Orbit(TableRepr):
         """
         return problem.values(gains=self.gains, parameters=self.parameters)
 
+    @checked
     def machine(self, problem: Problem) -> HybridDynamics | GraphDynamics:
         """Return the machine of the orbit at its gains and parameters.
 

@@ -129,11 +129,13 @@ class EventSequence:
             EventSequence(phases=part) for part in parts if part * (n // len(part)) == self.phases
         )
 
+    @checked
     def at_restitution(self, restitution: float) -> EventSequence:
         """Return the shape with accumulations for a positive restitution, else plastic impacts."""
         held = PhaseKind.PLASTIC if restitution == 0.0 else PhaseKind.ZENO
         return EventSequence(phases=tuple(held if kind.holds else kind for kind in self.phases))
 
+    @checked
     def agreed(self, wanted: EventSequence | None) -> EventSequence:
         """Return this shape if it agrees with the requested shape.
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import positive_number
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits.orbit import Orbit
 from zeno_orbits.orbits.poincare import Multipliers
@@ -156,7 +157,11 @@ class Stability(TableRepr):
 
         Args:
             part: The part, below 1 for a disturbance that decays and above 1 for one that grows.
+
+        Raises:
+            InputError: If the part is not a positive number.
         """
+        part = positive_number("part", part)
         if self.spectral_radius == 0.0:
             return float(max(1, len(self.values))) if part < 1.0 else math.inf
         rate = math.log(self.spectral_radius)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from zeno_orbits.errors import InputError, any_number
+from zeno_orbits.errors import InputError, any_number, positive_number
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.ipopt import IpoptSettings
 from zeno_orbits.work import Checked, require_kinds
@@ -94,7 +94,11 @@ class SearchSettings(Checked):
 
         The mesh is refined by a factor of ten until program and simulation agree to this accuracy.
         The first mesh follows from measurements of `zeno-orbits trade`.
+
+        Raises:
+            InputError: If the accuracy is not a positive number.
         """
+        accuracy = positive_number("accuracy", accuracy)
         transcription = replace(
             self.transcription,
             mesh_tolerance=min(_MESH_FOR * accuracy, _COARSEST_MESH),

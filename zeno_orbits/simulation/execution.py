@@ -8,8 +8,14 @@ from enum import Enum
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import any_number
+from zeno_orbits.arrays import Vector, finite_vector
+from zeno_orbits.errors import (
+    InputError,
+    any_number,
+    finite_number,
+    positive_number,
+    require_counts,
+)
 from zeno_orbits.integrators import Trajectory, fast_dataclass
 from zeno_orbits.model import UNIT_SCALES, CharacteristicScales, GraphDynamics, GraphMode
 from zeno_orbits.simulation.events import (
@@ -22,7 +28,7 @@ from zeno_orbits.simulation.events import (
     event_name,
     state_after,
 )
-from zeno_orbits.work import ByValue, Columns, TableRepr
+from zeno_orbits.work import ByValue, Columns, TableRepr, checked
 
 
 class Mode(Enum):
@@ -280,30 +286,34 @@ class Execution(TableRepr):
         Args:
             period: Approximate time of a return [s].
         """
-        return tuple(release for release in self.releases if release.time > _AT_ONCE * period)
+        least = _AT_ONCE * positive_number("period", period)
+        return tuple(release for release in self.releases if release.time > least)
 
     def state_at(self, time: float) -> Vector:
         """Return the state at a time, which at an impact is the state after it.
 
         Raises:
-            ValueError: If the time is outside the execution.
+            InputError: If the time is not a number, or outside the execution.
         """
-        return self.states_at(np.array([any_number("time", time)]))[0]
+        return self._states_at("time", np.array([finite_number("time", time)]))[0]
 
-    def states_at(self, times: Vector) -> Vector:
+    def states_at(self, times: Sequence[float] | Vector) -> Vector:
         """Return the states at times, which at an impact is the state after it, ``(n, n_x)``.
 
         Args:
             times: ``(n,)`` [s].
 
         Raises:
-            ValueError: If a time is outside the execution.
+            InputError: If a time is not a number, or outside the execution.
         """
+        return self._states_at("times", finite_vector("times", times))
+
+    def _states_at(self, argument: str, times: Vector) -> Vector:
         first, last = self.arcs[0].start_time, self.end_time
         outside = times[~((first <= times) & (times <= last))]
         if outside.size:
-            message = f"Argument `time` must lie in [{first:g}, {last:g}], but it is"
-            raise ValueError(f"{message} {outside[0]:g}.")
+            message = f"Argument `{argument}` must lie in [{first:g}, {last:g}], but it is"
+            raise InputError(f"{message} {outside[0]:g}.")
         starts = np.array([arc.start_time for arc in self.arcs])
         at = np.maximum(np.searchsorted(starts, times, side="right") - 1, 0)
         states = np.empty((len(times), len(self.arcs[0].start_state)))
@@ -312,11 +322,16 @@ class Execution(TableRepr):
             states[own] = self.arcs[place].states_at(times[own])
         return states
 
+    @checked
     def sampled(self, n_per_arc: int = 150) -> tuple[Vector, Vector]:
         """Return times ``(n,)`` and states ``(n, n_x)`` of all arcs, for plots.
 
         Args:
             n_per_arc: Samples at least, of every arc.
+
+        Raises:
+            InputError: If there is no sample.
         """
+        require_counts(n_per_arc=n_per_arc)
         times, states = zip(*(arc.sampled(n_per_arc) for arc in self.arcs), strict=True)
         return np.concatenate(times), np.concatenate(states)

@@ -128,6 +128,7 @@ class Recording(ByValue):
         """Names of the signals."""
         return tuple(signal.name for signal in self.signals)
 
+    @checked
     def signal(self, name: str) -> RecordedSignal:
         """Return a signal by its name.
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, any_number, finite_number, not_known
 from zeno_orbits.experiment.recordings.contacts import contact_names
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
 from zeno_orbits.experiment.recordings.sampling import require_share
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
 from zeno_orbits.model import CharacteristicScales, Contact, ParameterValues, Problem, Rig, own_time
-from zeno_orbits.work import ByValue, Checked
+from zeno_orbits.work import ByValue, Checked, checked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -239,8 +239,15 @@ class RigRun(ByValue):
             f"times={len(self.times)}, touches={len(self.touches)}>"
         )
 
+    @checked
     def of(self, name: str) -> Vector:
-        """Return a state over time by its name, ``(n,)``."""
+        """Return a state over time by its name, ``(n,)``.
+
+        Raises:
+            InputError: If no state has this name.
+        """
+        if name not in self.state_names:
+            raise InputError(f"Argument `name`: {not_known(name, self.state_names)}")
         return self.states[:, self.state_names.index(name)]
 
     def between(self, start: float, end: float, *, zero: float = 0.0) -> RigRun:
@@ -250,7 +257,12 @@ class RigRun(ByValue):
             start: Start of the interval [s].
             end: End of the interval [s].
             zero: Time origin of the result [s].
+
+        Raises:
+            InputError: If a time is not a number.
         """
+        start, end = any_number("start", start), any_number("end", end)
+        zero = finite_number("zero", zero)
         own = slice(bisect_left(self.times, start), bisect_left(self.times, end))
         read = slice(bisect_left(self.record.times, start), bisect_left(self.record.times, end))
         kept = {name: getattr(self, name)[own] for name in _OVER_TIME}

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, shown
 from zeno_orbits.model.contact import (
     GAP,
     GAP_ACCELERATION,
@@ -231,10 +232,17 @@ def tabulate(
 
     Returns:
         One row a state, ``(n, m)``.
+
+    Raises:
+        InputError: If the states are not rows of numbers.
     """
+    rows = np.asarray(states)
+    if rows.ndim != 2 or rows.shape[1] != system.state.numel() or rows.dtype.kind not in "fiu":
+        wanted = f"must be an array of {system.state.numel()} columns"
+        raise InputError(f"Argument `states` {wanted}, but it is {shown(states)}.")
     inputs = [system.state, ca.vertcat(*symbols.values())]
     call = Call(dense_function("table", inputs, [formula]), np.asarray(values, dtype=np.float64))
-    return np.array([call(x).copy() for x in states])
+    return np.array([call(x).copy() for x in rows])
 
 
 def _reset(system: CompletedSystem, approach_rate: ca.SX) -> ca.SX:

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector, eigenvalues
-from zeno_orbits.errors import InputError, did_you_mean
+from zeno_orbits.arrays import Vector, eigenvalues, finite_vector
+from zeno_orbits.errors import InputError, did_you_mean, finite_number, named_numbers, not_known
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits.events.return_map import Surface, cause_at, on_surface, surface_of
 from zeno_orbits.orbits.events.section import (
@@ -36,7 +36,7 @@ from zeno_orbits.orbits.orbit import Orbit
 from zeno_orbits.orbits.section import Section, coordinates_of, section_of
 from zeno_orbits.orbits.sequences import accumulating_events, orbit_event_name, sequence_of
 from zeno_orbits.simulation import SimulationSettings, SwitchEvent
-from zeno_orbits.work import Columns, TableRepr, versions
+from zeno_orbits.work import Columns, TableRepr, checked, versions
 
 _MOVES, _RANK = 1e-9, 1e-9
 """Relative change of a state above which a section moves, and relative singular value below which
@@ -147,6 +147,7 @@ class ReturnMap(TableRepr):
         """Largest value of each coordinate over the period, or its own scale, ``(d,)``."""
         return largest_states(self._return.execution.arcs, self._surface.graph)[self._chosen]
 
+    @checked
     def moves_section(self, name: str) -> bool:
         """Return True if a gain or parameter moves the section at the orbit.
 
@@ -155,7 +156,10 @@ class ReturnMap(TableRepr):
         Args:
             name: Name of the gain or parameter.
         """
-        place = (*self.gain_names, *self.parameter_names).index(name)
+        names = (*self.gain_names, *self.parameter_names)
+        if name not in names:
+            raise InputError(f"Argument `name`: {not_known(name, names)}")
+        place = names.index(name)
         lift = self._lift(self._surface, self._centre, (place,))
         scale = largest_states(self._return.execution.arcs, self._surface.graph)
         size = abs(self.values.number(name)) or 1.0
@@ -313,6 +317,7 @@ class ReturnMap(TableRepr):
         full = self._on(surface, self._point(x))
         return dict(zip(self.problem.state_names, full.tolist(), strict=True))
 
+    @checked
     def point(self, state: Mapping[str, float]) -> Vector:
         """Return the coordinates of a full state, ``(d,)``.
 
@@ -325,7 +330,7 @@ class ReturnMap(TableRepr):
         for name in self.coordinates:
             if name not in state:
                 raise InputError(f"Argument `state` must have `{name}`.")
-        return np.array([float(state[name]) for name in self.coordinates])
+        return np.array([finite_number(name, state[name]) for name in self.coordinates])
 
     def as_json(self) -> dict[str, Any]:
         """Return the map at the orbit as plain data."""
@@ -360,12 +365,7 @@ class ReturnMap(TableRepr):
         return on_surface(cause_at(self._return, self._return.period))
 
     def _point(self, x: Any, name: str = "x") -> Vector:
-        point = np.asarray(x, dtype=np.float64)
-        d = len(self.coordinates)
-        if point.shape != (d,) or not np.all(np.isfinite(point)):
-            known = ", ".join(self.coordinates) or "none"
-            raise InputError(f"Argument `{name}` must be {d} finite numbers: {known}.")
-        return point
+        return finite_vector(name, x, of=self.coordinates)
 
     def _values(self, gains: Numbers, parameters: Numbers) -> ParameterValues:
         """Return the orbit's values, some of them replaced by numbers that the problem allows."""
@@ -393,19 +393,13 @@ class ReturnMap(TableRepr):
         if given is None:
             return full
         if not isinstance(given, Mapping):
-            full = np.asarray(given, dtype=np.float64)
-            if full.shape != (len(names),):
-                wanted = f"must be {len(names)} numbers, or numbers by name"
-                raise InputError(f"Argument `{argument}` {wanted}: {', '.join(names) or 'none'}.")
-        else:
-            for name, value in given.items():
-                if name not in names:
-                    known = f"Known: {', '.join(names) or 'none'}"
-                    hint = did_you_mean(name, names)
-                    raise InputError(f"Argument `{argument}` has no `{name}`.{hint} {known}.")
-                full[names.index(name)] = float(value)
-        if not np.all(np.isfinite(full)):
-            raise InputError(f"Argument `{argument}` must hold finite numbers.")
+            return finite_vector(argument, given, of=names)
+        for name, value in named_numbers(argument, given).items():
+            if name not in names:
+                known = f"Known: {', '.join(names) or 'none'}"
+                hint = did_you_mean(name, names)
+                raise InputError(f"Argument `{argument}` has no `{name}`.{hint} {known}.")
+            full[names.index(name)] = finite_number(name, value)
         return full
 
     def _surface_at(self, values: ParameterValues) -> Surface:
