@@ -45,12 +45,37 @@ class SwitchingTimesError(InputError):
 
 
 def _about_file(kind: str, path: Path, reason: str, remedy: str = "") -> str:
-    """Return the message about an unusable file, without the remedy if it cannot be read."""
+    """Return the message about an unusable file, with the remedy that fits the reason."""
     if reason.startswith("it cannot be read"):
-        return f"{kind} file `{path}` {reason.removeprefix('it ')}."
+        known = others_beside(path) if _MISSING in reason else ""
+        return f"{kind} file `{path}` {reason.removeprefix('it ')}.{known}"
     # A reason that ends in a sentence brings its own remedy.
     rest = "" if reason.endswith(("?", ".")) else f". {remedy}".rstrip()
     return f"{kind} file `{path}`: {reason}{rest}"
+
+
+_MISSING = "No such file or directory"
+_MOST_LISTED = 5
+
+
+def others_beside(path: Path) -> str:
+    """Return what to pass in place of a missing file: a like name, or the files of its kind there.
+
+    Args:
+        path: The missing file.
+    """
+    try:
+        stems = sorted(one.stem for one in path.parent.iterdir() if one.suffix == path.suffix)
+    except OSError:
+        return f" The folder `{path.parent}` is missing, too."
+    kind = path.suffix
+    near = did_you_mean(path.stem, stems)
+    if near:
+        return near.replace("`?", f"{kind}`?")
+    if not stems:
+        return f" The folder `{path.parent}` has no `{kind}` file." if kind else ""
+    listed = ", ".join(f"`{shortened(stem)}{kind}`" for stem in stems[:_MOST_LISTED])
+    return f" The folder has {listed}{' and others' if len(stems) > _MOST_LISTED else ''}."
 
 
 def newer_format(number: int, newest: int) -> str:

@@ -216,7 +216,7 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "verify nothing": (("verify",), ("ORBIT.json",)),
     "orbit file missing": (
         ("verify", "none.json"),
-        ("Orbit file `none.json` cannot be read (No such file or directory).",),
+        ("Orbit file `none.json` cannot be read (No such file or directory).", "The folder"),
     ),
     "problem file not there": (
         ("simulate", "./none.py"),

@@ -114,3 +114,14 @@ def test_the_entry_is_a_text(kind: str, folder: Path) -> None:
     answer = ask("prove", "--check", "result.json", "--problem", "mine.py")
     assert answer.code == MISUSE
     assert "`problem_file` must be a text, but it is `7`" in answer.err
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_family_of_an_own_problem_is_drawn_by_its_recorded_file() -> None:
+    orbit = zo.find_orbit("mine.py").unwrap()
+    at = orbit.parameters["A"]
+    found = zo.continue_orbit(orbit, ("A", at, 1.001 * at), problem="mine.py")
+    assert zo.plot(found).axes
+    for one in found.families:
+        with pytest.raises(zo.InputError, match="`mine`"):
+            zo.plot(one)

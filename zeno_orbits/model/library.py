@@ -18,7 +18,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from zeno_orbits.errors import EquationsWarning, InputError, ProblemFileError, shortened
+from zeno_orbits.errors import (
+    EquationsWarning,
+    InputError,
+    ProblemFileError,
+    others_beside,
+    shortened,
+)
 from zeno_orbits.model.mistakes import account_of
 from zeno_orbits.model.origin import with_origin
 from zeno_orbits.model.problem import Problem
@@ -83,7 +89,8 @@ def _of_word(name_or_path: str | Path) -> Problem:
         path = Path(name)
         if not _is_there(path):
             if path.suffix == ".py":
-                raise ProblemFileError(path, "cannot be read (No such file or directory)")
+                reason = "cannot be read (No such file or directory)."
+                raise ProblemFileError(path, f"{reason}{others_beside(path)}")
             if _is_there(Path(f"{name}.py")):
                 raise InputError(f"Unknown problem `{name}`. For the file, pass `{name}.py`.")
             raise InputError(unknown("problem", name, tuple(bundled)))

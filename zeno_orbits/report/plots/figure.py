@@ -104,7 +104,8 @@ def _of_execution(
 def _of_continuation(
     found: Continuation, problem: Problem | None, width: float, axes: Sequence[Axes]
 ) -> Figure:
-    problem = recorded_problem(found.families[0].problem, problem, result="continuation")
+    word, file = found.families[0].problem, found.problem_file
+    problem = recorded_problem(word, problem, result="continuation", file=file)
     draw = plot_boundaries if found.boundaries else plot_families
     return draw(found, problem, width=width, axes=axes)
 
