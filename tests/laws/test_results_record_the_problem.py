@@ -116,6 +116,7 @@ def test_the_entry_is_a_text(kind: str, folder: Path) -> None:
     assert "`problem_file` must be a text, but it is `7`" in answer.err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_a_family_of_an_own_problem_is_drawn_by_its_recorded_file() -> None:
     orbit = zo.find_orbit("mine.py").unwrap()
