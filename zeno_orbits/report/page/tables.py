@@ -47,24 +47,22 @@ def tiles_of(subject: Subject) -> tuple[tuple[str, str, str], ...]:
     orbit, execution = subject.orbit, subject.execution
     radius = subject.certificate.spectral_radius
     points = execution.zeno_points[:3] if execution else ()
-    if not orbit.has_phases:
-        first = next((one.time for one in orbit.events if one.name.startswith("impact ")), None)
-        # The execution is a little longer than the period, which may start in contact.
-        end = orbit.period
-    else:
-        first, end = orbit.impacts[0].time, math.inf
+    first = next((one.time for one in orbit.impacts), None)
     push = "unknown" if math.isnan(radius) else shown_number(radius, 4)
     return (
         ("period", f"{orbit.period:.10g}", "s"),
         *([("first impact after", f"{first:.10g}", "s")] if first is not None else []),
         *((f"Zeno point{_of(point.stop)} after", f"{point.time:.10g}", "s") for point in points),
-        *(_rests(execution, end) if execution and points else ()),
+        *(_rests(execution, orbit.period) if execution and points else ()),
         ("a small disturbance changes by the factor", push, "per period"),
     )
 
 
 def _rests(execution: Execution, end: float) -> list[tuple[str, str, str]]:
-    """Return the duration of contact with each stop up to a time, as name, value and unit."""
+    """Return the duration of contact with each stop up to a time, as name, value and unit.
+
+    An execution is a little longer than its period, which may start in contact.
+    """
     rests: list[tuple[str, str, str]] = []
     for stop in stops_of(execution) or ("",):
         resting = sum(

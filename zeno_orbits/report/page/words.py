@@ -151,9 +151,10 @@ def story(
     repeats = f"In the model the motion repeats every {orbit.period:.4g} s."
     if execution is None:
         return f"{said}{repeats}"
-    if not orbit.has_phases:
+    begins = orbit.section.partition(" ")[0]
+    if len({event.name.partition(" ")[2] for event in orbit.events}) > 1 or begins == "zeno":
         return f"{said}{repeats} {_events(orbit)}"
-    if len(execution.zeno_points) == 1:
+    if len(execution.zeno_points) == 1 and begins == "release":
         return f"{said}{repeats} {_one_zeno_point(orbit, execution)}"
     count, points = len(execution.impacts), len(execution.zeno_points)
     if not points:
