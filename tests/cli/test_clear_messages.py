@@ -42,7 +42,7 @@ REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
         ("simulate", "motor_pendulum", "--set", "Kp=2,5"),
         "--set: must have a number for `Kp`, but it is `2,5`. Write a decimal point: 2.5.",
     ),
-    "no count": ((*MAP[:-1], "Kd=-2:-1:0"), "--y: must be a positive whole number"),
+    "no count": ((*MAP[:-1], "Kd=-2:-1:0"), "--y: must have a COUNT of at least 2 points"),
     "two counts": ((*MAP[:-1], "Kd=-2:-1:4:5"), "--y: "),
     "spreadsheet": (
         (*SEARCH, "-o", "out.xlsx"),
@@ -54,7 +54,7 @@ REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
     ),
     "empty output": ((*SEARCH, "-o", ""), "-o: the value is empty."),
     "empty output after =": ((*SEARCH, "--output="), "--output: the value is empty."),
-    "empty name": (("new", ""), "An argument: the value is empty."),
+    "empty name": (("new", ""), "NAME: the value is empty."),
     "short option": ((*MAP, "-j", "0"), "-j: must be a positive whole number, but it is `0`"),
     "short option with its value": ((*MAP, "-j0"), "-j: must be a positive whole number"),
     "long option": ((*MAP, "--workers", "0"), "--workers: must be a positive whole number"),

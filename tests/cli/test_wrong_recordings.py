@@ -66,7 +66,7 @@ WRONG: Mapping[str, tuple[str | bytes, str, str]] = {
         "counts in A: correct the title",
     ),
     "no unit": (retitled(" [A]", ""), "line 4: column `current` lacks a unit", "`current [A]`"),
-    "unknown unit": (retitled("[A]", "[Amp]"), "line 4: the unit of column `current`", "Known"),
+    "unknown unit": (retitled("[A]", "[Amp]"), "line 4: the unit of column `current`", "write `A`"),
     "misspelt time": (retitled("time", "tiem"), "line 4 has no column", "rename `tiem` to `time`"),
     "no time": (retitled("time", "x"), "line 4 has no column named `time`", "name one column"),
     "two times": (

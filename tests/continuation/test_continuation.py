@@ -293,7 +293,7 @@ def test_a_boundary_in_two_parameters_is_where_the_closed_form_says() -> None:
     [
         ("stiffness", (0.0, 1.0), "unknown parameter `stiffness`. Known: Kp, Kd"),
         ("Kd", (0.0, -2.0), "must have finite bounds LOWER < UPPER for `Kd`"),
-        ("Kd", (-0.9, 0.0), "must hold the start"),
+        ("Kd", (-0.9, 0.0), "must contain the value of the orbit"),
         ("restitution", (0.0, 1.5), "must lie in"),
     ],
 )

@@ -191,8 +191,8 @@ def test_an_example_of_the_help_runs(
     ("words", "told"),
     [
         (("--directions", "theta3=1"), "--directions theta3=1: unknown name `theta3`"),
-        (("--directions", "theta1=0"), "must have a finite length above zero"),
-        (("--directions", "theta1=nan"), "must have a finite length above zero"),
+        (("--directions", "theta1=0"), "must have one finite component that is not zero"),
+        (("--directions", "theta1=nan"), "must have one finite component that is not zero"),
         (("--directions", "dtheta1=1"), "unknown name `dtheta1`"),
         (("--directions", "theta1=1,theta1=2"), "must name `theta1` once"),
         (("--phases", "0"), "--phases: must be a positive whole number, but it is `0`"),

@@ -99,6 +99,13 @@ def test_a_start_off_the_circle_of_the_clock_is_refused() -> None:
         simulate(dynamics, (0.1, 0.0, 0.0, 0.0), until=1.0)
 
 
+def test_a_start_that_names_no_state_of_the_clock_has_its_declared_phase() -> None:
+    declared = OSCILLATOR.initial_state()
+    assert declared[2:] == (1.0, 0.0)
+    assert OSCILLATOR.initial_state({OSCILLATOR.state_names[1]: 0.5}) == (0.0, 0.5, 1.0, 0.0)
+    assert OSCILLATOR.initial_state({OSCILLATOR.state_names[3]: -1.0}) == (0.0, 0.0, 0.0, -1.0)
+
+
 def test_the_radius_of_the_clock_is_no_section_coordinate() -> None:
     dynamics = OSCILLATOR.dynamics(OSCILLATOR.values())
     section = release_section(dynamics, np.array([0.0, 0.0, -0.8, 0.6]), np.ones(4))

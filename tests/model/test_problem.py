@@ -87,7 +87,7 @@ def test_a_file_without_a_problem_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_a_model_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ProblemFileError, match=r"its folder lacks `model\.py`"):
+    with pytest.raises(ProblemFileError, match=r"it is a folder without `model\.py`"):
         load_problem(tmp_path)
 
 

@@ -65,7 +65,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "negative mass": (
         *(FORCED, 'p["m"] * v**2 / 2', '-p["m"] * v**2 / 2'),
-        "mass matrix must be positive definite.*indefinite",
+        "mass matrix must be positive definite.*negative definite. Check the signs",
     ),
     "mass that changes its sign": (
         *(MOTOR, 'p["J"] * v**2 / 2', 'p["J"] * (0.5 - q) * v**2 / 2'),
@@ -117,11 +117,11 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "too few units": (
         *(FORCED, '("m", "m/s", "1", "1")', '("m", "m/s")'),
-        "`state_units` must be one for every state, but there are 2 for 4",
+        "`state_names` has 4 names and `state_units` has 2 units",
     ),
     "too few states": (
         *(MOTOR, '"angle", "rate", "current")', '"angle", "rate")'),
-        "`state_units` must be one for every state, but there are 3 for 2",
+        "`state_names` has 2 names and `state_units` has 3 units",
     ),
     "states that the model has not": (
         *(MOTOR, "full_drive(mechanism, motor)", "no_drive(mechanism)"),
@@ -334,7 +334,7 @@ def test_a_mass_that_vanishes_nearby_is_found(units: Units) -> None:
         portraits=(("x", "dx"),),
         amplitude_of="x",
     )
-    with pytest.raises(ValueError, match=r"at the admissible state .* it is indefinite"):
+    with pytest.raises(ValueError, match=r"at the admissible state .* it is negative definite"):
         in_units(problem, units).checked()
     # From a tenth of the way it goes no farther than twice as far.
     assert in_units(replace(problem, starts=({"x": 0.002},)), units).checked()

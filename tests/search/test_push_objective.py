@@ -167,7 +167,7 @@ def test_gains_move_until_every_corner_has_an_orbit() -> None:
             ("--objective", "push:theta3=1"),
             "unknown name `theta3`. Did you mean `theta2`? Known: theta1, theta2.",
         ),
-        (("--objective", "push:theta1=0"), "must have a finite length above zero"),
+        (("--objective", "push:theta1=0"), "must have one finite component that is not zero"),
         (("--objective", "push=1"), "unknown objective `push=1`. Did you mean `push`?"),
         (
             ("--objective", "robustness", "--uncertain", "restitution=0.5:1.5"),

@@ -84,7 +84,9 @@ class Parser(argparse.ArgumentParser):
             empty = re.fullmatch(r"(--[\w-]+)=", word)
             if (word and not empty) or " " not in self.prog:
                 continue
-            label = empty[1] if empty else before if before.startswith("-") else "an argument"
+            operands = [one.metavar or one.dest for one in self._actions if not one.option_strings]
+            operand = str(operands[0]) if operands else "an argument"
+            label = empty[1] if empty else before if before.startswith("-") else operand
             self.error(f"{label}: the value is empty. Give a value, or leave it out.")
 
     def format_help(self) -> str:

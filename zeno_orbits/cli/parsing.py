@@ -80,11 +80,15 @@ def _number(text: str, wanted: str) -> float:
         return float("" if "_" in text else text)
     except ValueError:
         message = f"must {wanted}, but it is `{text}`"
+        if _RANGE.fullmatch(text):
+            message += ". An option such as `--vary` takes a range"
         if _COMMA.fullmatch(text):
             message += f". Write a decimal point: {text.replace(',', '.')}"
         raise argparse.ArgumentTypeError(message) from None
 
 
+_RANGE = re.compile(r"[-+.\deE]+:[-+.\deE]+")
+"""Two ends of a range."""
 _COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 """A number with a decimal comma."""
 
@@ -203,6 +207,9 @@ def read_axis(text: str) -> AxisRange:
     """Return an axis of a map from ``NAME=LOW:HIGH`` or ``NAME=LOW:HIGH:COUNT``."""
     ends, _, count = text.rpartition(":")
     if ends.count(":") == 1:
+        if not _is_whole(count) or int(count) < 2:
+            wanted = "must have a COUNT of at least 2 points after LOW:HIGH"
+            raise argparse.ArgumentTypeError(f"{wanted}, but it is `{count}`")
         return AxisRange(read_range(ends), read_count(count))
     return AxisRange(read_range(text), None)
 

@@ -263,6 +263,7 @@ def _checked(
     low, high = box
     value = values.number(parameter)
     if not low <= value <= high:
-        message = f"must hold the start, {parameter} = {value:g}, but it is {low:g}:{high:g}"
-        raise InputError(f"Argument `{argument}` {message}.")
+        wider = f"{parameter}={min(low, value):g}:{max(high, value):g}"
+        message = f"must contain the value of the orbit, {parameter} = {value:g}, but it is"
+        raise InputError(f"Argument `{argument}` {message} {low:g}:{high:g}. Take {wider}.")
     return value

@@ -490,7 +490,7 @@ def _require_direction(
     entries = [abs(any_number(argument, entry)) for entry in direction.values()]
     largest = max(entries, default=0.0)
     if not all(map(math.isfinite, entries)) or largest == 0.0:
-        wanted = "must have a finite length above zero"
+        wanted = "must have one finite component that is not zero"
         raise InputError(f"Argument `{argument}` {wanted}, but it is {dict(direction)}.")
     if not 1.0 / _HUGE <= largest <= _HUGE:
         wanted = f"must have a largest entry from {1.0 / _HUGE:g} to {_HUGE:g}"

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from zeno_orbits.errors import InputError
 from zeno_orbits.work import Checked, checked
 
 
@@ -38,7 +39,13 @@ class Clock(Checked):
 
         Args:
             frequency: :math:`\omega` [rad/s], a parameter of the problem.
+
+        Raises:
+            InputError: If the frequency is a number that is not positive.
         """
+        rate = ca.SX(frequency)
+        if rate.is_constant() and rate.is_scalar() and float(rate) <= 0.0:
+            raise InputError(f"Argument `frequency` must be positive, but it is {float(rate):g}.")
         return cls(cosine=ca.SX.sym("cosine"), sine=ca.SX.sym("sine"), frequency=ca.SX(frequency))
 
     @property

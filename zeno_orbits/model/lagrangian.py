@@ -276,6 +276,12 @@ def _require_still(v: ca.SX, **expressions: ca.SX) -> None:
 def _require_quadratic(kinetic: ca.SX, v: ca.SX, mass_matrix: ca.SX) -> None:
     rest = ca.vertcat(kinetic, ca.gradient(kinetic, v))
     rest = ca.substitute(rest, v, ca.SX.zeros(*v.shape))
+    names = {v[k].name() for k in range(v.numel())}
+    strangers = {one.name() for one in ca.symvar(ca.substitute(kinetic, v, ca.SX.zeros(*v.shape)))}
+    if names & strangers:
+        word = sorted(names & strangers)[0]
+        told = f"must use the symbol `{word}` of `v`, but it holds another symbol of this name"
+        raise ValueError(f"Argument `kinetic` {told}. Make each symbol once.")
     if ca.depends_on(mass_matrix, v) or not rest.is_zero():
         raise ValueError("Argument `kinetic` must be quadratic in the velocity, as `m * v**2 / 2`.")
     _require_inertia("kinetic", mass_matrix)

@@ -298,7 +298,9 @@ def _bundled(path: Path) -> Problem:
 def _declared(path: Path) -> Problem:
     file = path / "model.py" if path.is_dir() else path
     if not _is_there(file):
-        raise ProblemFileError(path, "its folder lacks `model.py`")
+        others = sorted(one.name for one in path.glob("*.py"))[:3] if path.is_dir() else []
+        known = f". It has {', '.join(f'`{path / one}`' for one in others)}" if others else ""
+        raise ProblemFileError(path, f"it is a folder without `model.py`{known}")
     problem = getattr(_execute(file), "PROBLEM", None)
     if not isinstance(problem, Problem):
         raise ProblemFileError(
@@ -328,7 +330,8 @@ def load_reference(problem: Problem) -> ModuleType:
     """
     if problem.reference is None:
         raise InputError(
-            f"Argument `problem` must have a hand-written reference, but `{problem.name}` lacks it."
+            f"Argument `problem` must have a hand-written model, but `{problem.name}` lacks it. "
+            "Leave the reference (`--model reference`) out."
         )
     return _execute(problem.reference)
 

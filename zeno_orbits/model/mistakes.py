@@ -106,8 +106,9 @@ def account_of(error: BaseException, file: Path) -> tuple[str, int | None]:
     if isinstance(error, FormulaError):
         return text, _line_of_formula(tree, error)
     text = _about_inductance(text, tree)
-    if isinstance(error, TypeError) and "NoneType" in text and _gives_none(tree):
-        return _CALLED_MODEL, _gives_none(tree)
+    called = _called_model(tree)
+    if isinstance(error, TypeError | KeyError) and called is not None:
+        return _CALLED_MODEL, called
     line = _line_of_argument(tree, text, _line_in_trace(error, file))
     jump = _JUMP.match(text)
     if jump is not None:
@@ -124,12 +125,15 @@ def account_of(error: BaseException, file: Path) -> tuple[str, int | None]:
     return _about_python(error, text), line
 
 
-def _gives_none(tree: ast.AST) -> int | None:
-    """Return the line of an argument `model` that is a call with None, as ``model=model(None)``."""
+def _called_model(tree: ast.AST) -> int | None:
+    """Return the line of an argument `model` that is a call of a model without symbols.
+
+    Such a call has None or an empty mapping as its argument, as ``model=model({})``.
+    """
     for node in ast.walk(tree):
         if isinstance(node, ast.keyword) and node.arg == "model":
             given = node.value.args if isinstance(node.value, ast.Call) else []
-            if any(isinstance(one, ast.Constant) and one.value is None for one in given):
+            if any(ast.unparse(one) in ("None", "{}", "dict()") for one in given):
                 return node.lineno
     return None
 
@@ -169,6 +173,11 @@ def _about_python(error: BaseException, text: str) -> str:
     words = _ARGUMENTS.match(text)
     if words is not None:
         return _about_arguments(words[1].removesuffix(".__init__"), words[2], words[3], text)
+    owner = re.match(r"(?:(\w+)\.)?(\w+)\(\) takes (?:from )?\d.* positional argument", text)
+    if owner is not None:
+        word = owner[1] if owner[2] == "__init__" else owner[2]
+        first = next(iter(_arguments_of(word or "")), "name")
+        return f"`{word}` takes named arguments alone. Write `{word}({first}=..., ...)`"
     if "unsupported operand" in text:
         return f"{text}. Write numbers and `ca.SX` symbols on both sides"
     return f"{type(error).__name__}: {text}"

@@ -648,6 +648,8 @@ class Problem(Declared):
     ) -> tuple[float, ...]:
         """Return the state with the named entries, the others zero, ``(n_x,)``.
 
+        A clock of which no state is named has the phase of the first declared start.
+
         Args:
             named: State name to value, as in ``starts`` or an orbit's ``release_state``.
             values: Values at which formulas among the entries are evaluated, by default the
@@ -656,7 +658,11 @@ class Problem(Declared):
         Raises:
             InputError: If a name is not a state of the problem or a value is not a finite number.
         """
-        return state_of(named, self.state_names, lambda: (values or self.values()).numbers)
+        given, first = named_numbers("start", named), self.starts[0]
+        clock = [self.state_names[k] for k in self.clock]
+        if not any(name in given for name in clock):
+            given |= {name: first[name] for name in clock if name in first}
+        return state_of(given, self.state_names, lambda: (values or self.values()).numbers)
 
     @of_kinds
     def initial_state(

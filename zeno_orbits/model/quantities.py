@@ -12,7 +12,14 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.errors import InputError, finite_number, named_numbers, not_known, shortened
+from zeno_orbits.errors import (
+    InputError,
+    counted,
+    finite_number,
+    named_numbers,
+    not_known,
+    shortened,
+)
 from zeno_orbits.model.expressions.units import powers_of
 from zeno_orbits.work import require_kinds
 
@@ -262,8 +269,11 @@ def require_names(
             raise InputError(f"Argument `name` {message}, but `{name}` appears twice.")
         seen.add(name)
     if len(states) != len(state_units):
-        count = f"but there are {len(state_units)} for {len(states)}"
-        raise InputError(f"Argument `state_units` must be one for every state, {count}.")
+        count = f"but `state_names` has {counted(len(states), 'name')} and `state_units` has"
+        raise InputError(
+            f"Argument `state_units` must be one for every state, {count} "
+            f"{counted(len(state_units), 'unit')}."
+        )
     for name, unit in zip(states, state_units, strict=True):
         _require_name("state_names", name)
         require_unit(name, unit)

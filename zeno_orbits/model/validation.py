@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, shortened
+from zeno_orbits.errors import InputError, did_you_mean, shortened
 from zeno_orbits.model.domains import named_formulas, require_finite, require_rising_gap
 from zeno_orbits.model.expressions.units import ELECTRICAL, is_electrical_unit, is_rate_of
 from zeno_orbits.model.hybrid import CompletedSystem
@@ -65,9 +65,9 @@ def built(
         system = model(symbols)
     except KeyError as error:
         if error.args and error.args[0] not in symbols:
-            asked = f"but it uses `{error.args[0]}`"
+            asked = f"but it uses `{error.args[0]}`.{did_you_mean(str(error.args[0]), symbols)}"
             raise InputError(
-                f"Argument `model` must use declared gains and parameters, {asked}."
+                f"Argument `model` must use declared gains and parameters, {asked}"
             ) from error
         raise
     if not isinstance(system, CompletedSystem):
@@ -116,6 +116,7 @@ def require_states(
         raise ValueError(
             f"Argument `state_names` must name the model's {n_x} states ({n_q} coordinates, as "
             f"many velocities, {n_x - 2 * n_q} of drives and clock), {named}."
+            f"{_forgotten(system, state_names)}"
         )
     for k in range(n_q):
         if not is_rate_of(state_units[n_q + k], state_units[k]):
@@ -131,6 +132,22 @@ def require_states(
                 f"Argument `state_units` must give the {kind} `{state_names[k]}` the unit "
                 f"{ELECTRICAL[kind]}, but it is `{state_units[k]}`."
             )
+
+
+def _forgotten(system: CompletedSystem, state_names: Sequence[str]) -> str:
+    """Return the remedy if the formulas hold symbols that were to be states, or an empty text."""
+    known = {system.state[k].element_hash() for k in range(system.state.numel())}
+    formulas = ca.veccat(*(getattr(system, name) for name in _FORMULAS))
+    strangers = {
+        one.name() for one in _symbols_in(formulas) if one.element_hash() not in known
+    } & set(state_names)
+    if not strangers:
+        return ""
+    words = ", ".join(f"`{name}`" for name in state_names if name in strangers)
+    return (
+        f" The formulas use {words}, which is no state of the mechanism or drive. Pass a clock to "
+        "the mechanism, as `clock=clock`."
+    )
 
 
 def require_known_symbols(system: CompletedSystem, symbols: Mapping[str, ca.SX]) -> None:
@@ -257,8 +274,14 @@ def _require_finite(
         require_rising_gap(system, symbols, x, p, number)
         raise ValueError(
             f"Argument `model` must give finite equations of motion at start {number}, but they "
-            "are not finite there. Change the start, or a formula."
+            f"are not finite there. Change the start, or a formula.{_zeros(symbols, p)}"
         )
+
+
+def _zeros(symbols: Mapping[str, ca.SX], p: Vector) -> str:
+    """Return the sentence about values that are zero, which a formula may divide by."""
+    zeros = [f"`{name}`" for name, value in zip(symbols, p.tolist(), strict=True) if value == 0.0]
+    return f" Values that are zero: {', '.join(zeros)}." if zeros else ""
 
 
 def _require_admissible(
@@ -291,6 +314,11 @@ def _require_mass(
     place = ", ".join(
         f"{name} = {value:.3g}" for name, value in zip(state_names, x[: sizes.size], strict=False)
     )
+    if roots[-1] < 0.0:
+        raise ValueError(
+            f"The mass matrix must be positive definite, but {where} ({place}) it is negative "
+            "definite. Check the signs in `kinetic`."
+        )
     what = "singular" if abs(roots[0]) <= _SINGULAR * abs(roots[-1]) else "indefinite"
     raise ValueError(
         f"The mass matrix must be positive definite, but {where} ({place}) it is {what}: "

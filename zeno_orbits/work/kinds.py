@@ -183,7 +183,17 @@ def _require(argument: str, value: Any, kinds: tuple[Any, ...]) -> None:
         named_numbers(argument, value)
     words = [_words(kind) for kind in kinds]
     listed = words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
-    raise InputError(f"Argument `{argument}` must be {listed}, but it is {shown(value)}.")
+    comma = _missing_comma(argument, value, wanted)
+    raise InputError(f"Argument `{argument}` must be {listed}, but it is {shown(value)}.{comma}")
+
+
+def _missing_comma(argument: str, value: Any, kinds: Sequence[Any]) -> str:
+    """Return the remedy for one entry where a sequence of entries is wanted, or an empty text."""
+    for kind in kinds:
+        inner = get_args(kind)
+        if (get_origin(kind) is Sequence or inner[1:] == (Ellipsis,)) and _is(value, inner[0]):
+            return f" For one entry, write `{argument}=(...,)`, with a comma."
+    return ""
 
 
 def _is(value: Any, kind: Any) -> bool:

@@ -14,6 +14,7 @@ from zeno_orbits.cli.options import (
     add_problem_file,
     add_shared,
     print_json,
+    read_orbit_path,
     say_written,
 )
 from zeno_orbits.cli.outputs import JSON, require_outputs
@@ -40,7 +41,9 @@ def add_prove(commands: Any) -> None:
             "zeno-orbits prove orbit.json --interval Kp=2.5:1e-8",
         ],
     )
-    parser.add_argument("orbit", metavar="ORBIT.json", type=Path, nargs="?", help="an orbit file")
+    parser.add_argument(
+        "orbit", metavar="ORBIT.json", type=read_orbit_path, nargs="?", help="an orbit file"
+    )
     add_problem_file(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="PROOF.json", help="write the certificate here"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from zeno_orbits.errors import counted
 from zeno_orbits.model.expressions.operations import expand_calls
 from zeno_orbits.work import require_kinds
 
@@ -44,7 +45,8 @@ class MotorBank:
             shape = getattr(self, name).shape
             if shape != (n_motors, n_motors):
                 wanted = f"must be of shape ({n_motors}, {n_motors})"
-                raise ValueError(f"Argument `{name}` {wanted}, but it is {shape}.")
+                motors = f"`selection` has {counted(n_motors, 'column')}, one per motor"
+                raise ValueError(f"Argument `{name}` {wanted}, but it is {shape}: {motors}.")
         for k in range(n_motors):
             if self.selection[:, k].is_zero():
                 turns = f"but motor {k + 1} turns none"

@@ -100,9 +100,10 @@ def require_coherent(units: Mapping[str, str]) -> None:
                 first, other = seen.setdefault(kind[0], (base, name))
                 if first != base:
                     wanted = "must be of one system for all values of a problem"
+                    whole = "" if unit == base else f" (`{unit}`)"
                     raise ValueError(
-                        f"Argument `unit` {wanted}, but `{other}` counts in {first} and `{name}`, "
-                        f"in {unit}, in {base}. Write both in one of them."
+                        f"Argument `unit` {wanted}, but `{other}` counts in {first}, and "
+                        f"`{name}`{whole} in {base}. Write both in one of them."
                     )
 
 
@@ -151,13 +152,22 @@ def _factor(factor: str, text: str) -> Powers:
     found = _FACTOR.fullmatch(factor)
     symbol = found[1] if found else factor
     if found is None or (symbol not in {*_BASE, *_OTHERS} and symbol not in _DERIVED):
-        meant = _WORDS.get(symbol.lower().removesuffix("s")) or _apart(symbol)
+        meant = _meant(symbol)
+        if meant and found and found[2]:
+            meant = f"{meant}^{found[2]}"
         known = ", ".join((*_BASE, *_OTHERS, *_DERIVED))
         remedy = f": write `{meant}`" if meant else f". Known units are {known}"
-        where = f"`{shortened(factor)}` in `{shortened(text)}`"
+        if "*" in factor:
+            remedy = f": write `{text.replace('*', ' ')}`, with spaces"
+        where = f"`{shortened(factor)}`" + (f" in `{shortened(text)}`" if factor != text else "")
         raise ValueError(f"{where} is not a unit{remedy}")
     power = int(found[2] or 1)
     return {base: n * power for base, n in _DERIVED.get(symbol, {symbol: 1}).items()}
+
+
+def _meant(symbol: str) -> str:
+    """Return the unit that a word stands for, or an empty text."""
+    return _WORDS.get(symbol.lower().removesuffix("s")) or _apart(symbol)
 
 
 _PREFIXES = frozenset("kmunMG")
@@ -274,8 +284,10 @@ def in_si(text: str) -> tuple[str, float]:
             name = _SPELLED.get(name, name)
             unit, scale = _SCALED.get(name, (name, 1.0))
             if unit == name and name not in ("1", *_BASE, *_DERIVED):
-                known = ", ".join((*_BASE, *_DERIVED, *_SCALED))
-                raise ValueError(f"`{name}` is not a unit. Known units are {known}")
+                known = ", ".join(dict.fromkeys((*_BASE, *_DERIVED, *_SCALED)))
+                meant = _meant(name)
+                remedy = f": write `{meant}`" if meant else f". Known units are {known}"
+                raise ValueError(f"`{name}` is not a unit{remedy}")
             factor *= scale ** (sign * power)
             if "/" in unit and (power != 1 or sign != 1 or slash):
                 raise ValueError(f"`{text}` is not a known unit: `{name}` must stand alone")

@@ -109,6 +109,7 @@ def _require_constraints(dynamics: HybridDynamics, x: Vector) -> None:
         seen = " and ".join(f"{x[k]:g}" for k in dynamics.clock)
         message = f"must have {names} on the unit circle, as a clock, but they are {seen}"
         first = dynamics.state_names[dynamics.clock[0]]
-        raise InputError(f"Argument `state` {message}. A turn starts with {first}=1.")
+        remedy = f"A start names the clock, too: add {first}=1 for the start of a turn"
+        raise InputError(f"Argument `state` {message}. {remedy}.")
     message = "Argument `state` must keep the holonomic constraints, but it is off by"
     raise InputError(f"{message} {float(np.max(off)):.3g}.")
