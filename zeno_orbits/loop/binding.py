@@ -176,6 +176,18 @@ class DetailType(ctypes.Structure):
     ]
 
 
+class PairType(ctypes.Structure):
+    """Two motions side by side: ``zl_pair``."""
+
+    _fields_ = [
+        *((name, _number) for name in ("turn", "distance", "vanished", "started")),
+        *((name, _number * MOST) for name in ("first", "other", "direction", "scale")),
+        ("in_clock", _count * MOST),
+        *((name, _count) for name in ("moves", "n_turns", "n_rates", "closed", "sides")),
+        ("rates", _address),
+    ]
+
+
 def declared(library: Any) -> Any:
     """Return the library with the types of its functions declared."""
     pointer, whole = ctypes.c_void_p, ctypes.c_int
@@ -183,6 +195,7 @@ def declared(library: Any) -> Any:
         "zl_size": (_count, [pointer]),
         "zl_begin": (whole, [pointer] * 5),
         "zl_resume": (whole, [pointer] * 3),
+        "zl_turns": (whole, [*[pointer] * 4, ctypes.c_longlong]),
         "zl_answer": (None, [pointer, whole, _number, _number, pointer]),
         "zl_tell": (None, [pointer] * 2),
         "zl_now": (_number, [pointer] * 4),

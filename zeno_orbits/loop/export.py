@@ -63,7 +63,7 @@ def exported_files(program: GraphProgram, run: ExportedRun) -> dict[str, str]:
     # The library includes its own header, which the exported header replaces.
     places = {
         "loop.h": f'#include "{stem}.h"\n',
-        **dict.fromkeys(("tangent.h", "tangent.c"), ""),
+        **dict.fromkeys(("tangent.h", "tangent.c", "turns.h", "turns.c"), ""),
     }
     if program.only_view is not None:
         view = program.only_view

@@ -8,6 +8,7 @@
 
 #include "loop.h"
 #include "tangent.h"
+#include "turns.h"
 
 #include "rules.h"
 
@@ -36,19 +37,26 @@ long long zl_size(const zl_problem *problem) {
            n * (long long)sizeof(double);
 }
 
-int zl_begin(const zl_problem *problem, zl_run *run, const zl_settings *settings, const double *p,
-             const double *x) {
-    if (problem->n_x + 2 > ZL_MOST) return ZL_TOO_LARGE;
+/* Begin at a state, by the settings and formulas that a run has. */
+static void begin_at(const zl_problem *problem, zl_run *run, const double *x) {
+    const zl_settings settings = run->settings;
     memset(run, 0, offsetof(zl_run, factors));
-    run->settings = *settings;
-    begin_in_graph(problem, run, settings, p);
+    run->settings = settings;
     memcpy(run->start.state, x, (size_t)problem->n_x * sizeof(double));
-    run->small_gap = settings->contact * settings->gap;
-    run->small_rate = settings->contact * settings->gap_rate;
+    run->small_gap = settings.contact * settings.gap;
+    run->small_rate = settings.contact * settings.gap_rate;
     run->pace.next_look = FIRST_PACE;
     run->pace.window = INFINITY;
     run->stage = BEFORE;
     run->refused = -1.0;
+}
+
+int zl_begin(const zl_problem *problem, zl_run *run, const zl_settings *settings, const double *p,
+             const double *x) {
+    if (problem->n_x + 2 > ZL_MOST) return ZL_TOO_LARGE;
+    run->settings = *settings;
+    begin_in_graph(problem, run, settings, p);
+    begin_at(problem, run, x);
     return ZL_DONE;
 }
 
@@ -199,6 +207,7 @@ void zl_copy(const zl_problem *problem, const zl_run *from, zl_run *to) {
     memcpy(to, from, (size_t)zl_size(problem));
 }
 
+#include "turns.c"
 #include "tangent.c"
 #include "one_leg.c"
 #include "check.c"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -280,6 +280,28 @@ class LoopRun:
         for kind, given, fewest in zip(_KINDS, most, self._least, strict=True):
             if given < fewest:
                 raise ValueError(f"Argument `{kind}` must be at least {fewest}, but it is {given}.")
+        return self._carried(most, lambda places: (places,), "zl_resume")
+
+    def turns(self, pair: c.PairType, count: int) -> int:
+        """Follow two motions side by side up to a number of turns, without records.
+
+        Args:
+            pair: The motions. The run is at the start of the first one, or was left by a status.
+            count: Number of turns in all.
+
+        Returns:
+            A status as of `resume`.
+        """
+        place = ctypes.addressof(pair)
+        most = (0, 0, 0, _EVENTS)
+        status = self._carried(most, lambda places: (places, place, count), "zl_turns")
+        self._parts.clear()
+        return status
+
+    def _carried(
+        self, most: tuple[int, ...], arguments: Callable[[int], tuple[int, ...]], function: str
+    ) -> int:
+        """Return the status of a function that carries the run on, with memory for its records."""
         # The tables may grow while this run goes on: it takes them first, then memory for them.
         address = self._program.address
         self._grow()
@@ -288,12 +310,12 @@ class LoopRun:
             buffers = spare.pop()
         except IndexError:
             buffers = _Buffers(most, self._widths)
-        places = buffers.places
+        places, call = buffers.places, getattr(self._library, function)
         status = c.ESTIMATES
         while status == c.ESTIMATES:
             places.estimates = self._estimates.ctypes.data
             places.most_estimates = len(self._estimates)
-            status = self._library.zl_resume(address, self._place, ctypes.addressof(places))
+            status = call(address, self._place, *arguments(ctypes.addressof(places)))
             self._parts.append(buffers.written())
             if status == c.ESTIMATES:
                 more = np.empty((4 * len(self._estimates), self._estimates.shape[1]))
@@ -306,9 +328,12 @@ class LoopRun:
         """Take more memory if the tables of the problem have grown."""
         if self._memory is None or len(self._memory) >= self._program.size:
             return
-        more = self._program.borrowed()
-        ctypes.memmove(more, self._memory, len(self._memory))
-        self._memory, self._place = more, ctypes.addressof(more)
+        more, size = self._program.borrowed(), len(self._memory)
+        self._place = ctypes.addressof(more)
+        ctypes.memmove(more, self._memory, size)
+        # Of another run the new views hold formulas at other parameters.
+        ctypes.memset(self._place + size, 0, len(more) - size)
+        self._memory = more
 
     def answer(self, found: tuple[float, float, Vector] | None) -> None:
         """Answer the status ``CURVE``.

@@ -11,12 +11,17 @@ event.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.loop import UnknownOperationError
 from zeno_orbits.model import GraphDynamics, GraphMode
+from zeno_orbits.simulation.compiled.executions import PairByLoop, serves
 from zeno_orbits.simulation.settings import SimulationSettings, SimulationTask
 from zeno_orbits.simulation.simulator import pieces
 
@@ -72,30 +77,82 @@ def largest_exponent(
     Raises:
         SimulationError: If a motion cannot be continued.
     """
-    clock = graph.first.clock
-    free = np.array([k for k in range(len(state)) if k not in clock])
+    free = _free(graph, len(state))
     direction = np.zeros(len(state))
     direction[free] = scale[free] * np.cos(1.0 + np.arange(len(free)))
-    first, rates = state, list[float]()
-    other = _beside(graph, first, direction, scale, graph.open_mode)
-    exponent = None
-    for count in (_SETTLING + _ROUNDS[0], *_ROUNDS[1:]):
-        for _ in range(count):
-            started = float(np.max(np.abs((other - first)[free]) / scale[free]))
-            first, mode = _after(graph, first, turn, settings)
-            other, _ = _after(graph, other, turn, settings)
-            away = np.zeros(len(state))
-            away[free] = (other - first)[free]
-            distance = float(np.max(np.abs(away[free]) / scale[free]))
-            if started > 0.0:
-                rates.append(math.log(max(distance / started, _VANISHED)) / turn)
-            if distance > _VANISHED * _DISTANCE:
-                direction = away
-            other = _beside(graph, first, direction, scale, mode)
-        exponent = _mean(np.array(rates[_SETTLING:]))
+    task = SimulationTask(dynamics=graph, state=state, until=turn, settings=settings, goes_on=True)
+    if serves(task):
+        with closing(pair_by_loop(task, direction, scale)) as pair:
+            try:
+                return _averaged(pair.rates)
+            except UnknownOperationError:
+                # Of a mode that a motion has come to.
+                pass
+    rates = rates_turn_by_turn(task, direction, scale)
+    return _averaged(lambda count: [one for one in islice(rates, count) if one is not None])
+
+
+def pair_by_loop(task: SimulationTask, direction: Vector, scale: Vector) -> PairByLoop:
+    """Return a motion and another one beside it, both followed by the compiled loop.
+
+    Args:
+        task: One turn of the motion, which the loop can carry out.
+        direction: First direction from it to the other motion, zero for the clock, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+    """
+    return PairByLoop(
+        task, direction=direction, scale=scale, distance=_DISTANCE, vanished=_VANISHED
+    )
+
+
+def rates_turn_by_turn(
+    task: SimulationTask, direction: Vector, scale: Vector
+) -> Iterator[float | None]:
+    r"""Yield :math:`\ln(d / d_0) / T` of every turn [1/s], each followed by itself: the reference.
+
+    It is ``None`` where both motions are the same at the start of a turn.
+
+    Args:
+        task: One turn of the motion.
+        direction: As for `pair_by_loop`.
+        scale: Size of each state, ``(n_x,)``.
+
+    Raises:
+        SimulationError: If a motion cannot be continued.
+    """
+    graph, first, turn, mode = task.graph, task.state, task.until, task.graph.open_mode
+    free = _free(graph, len(first))
+    while True:
+        other = _beside(graph, first, direction, scale, mode)
+        started = float(np.max(np.abs((other - first)[free]) / scale[free]))
+        first, mode = _after(graph, first, turn, task.settings)
+        other, _ = _after(graph, other, turn, task.settings)
+        away = np.zeros(len(first))
+        away[free] = (other - first)[free]
+        distance = float(np.max(np.abs(away[free]) / scale[free]))
+        if distance > _VANISHED * _DISTANCE:
+            direction = away
+        yield math.log(max(distance / started, _VANISHED)) / turn if started > 0.0 else None
+
+
+def _free(graph: GraphDynamics, n_x: int) -> list[int]:
+    """Return the indices of the states that do not belong to the clock."""
+    return [k for k in range(n_x) if k not in graph.first.clock]
+
+
+def _averaged(rates_of: Callable[[int], Sequence[float]]) -> Exponent:
+    """Return the mean of as many rates as its error asks for.
+
+    Args:
+        rates_of: Function from a number of turns to the rates of the next turns.
+    """
+    rates = list(rates_of(_SETTLING + _ROUNDS[0]))
+    exponent = _mean(np.array(rates[_SETTLING:]))
+    for count in _ROUNDS[1:]:
         if abs(exponent.value) * _CLEAR > exponent.error:
             break
-    assert exponent is not None
+        rates += rates_of(count)
+        exponent = _mean(np.array(rates[_SETTLING:]))
     return exponent
 
 

@@ -7,8 +7,10 @@ when a motion first needs them. `programs` names the machines that it cannot car
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
+
+import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
@@ -118,14 +120,68 @@ def pieces_by_loop(task: SimulationTask) -> Iterator[Piece]:
         run.loop.close()
 
 
+class PairByLoop:
+    """Two motions that the loop follows side by side, turn by turn."""
+
+    def __init__(
+        self,
+        task: SimulationTask,
+        *,
+        direction: Vector,
+        scale: Vector,
+        distance: float,
+        vanished: float,
+    ) -> None:
+        """Begin at a state.
+
+        Args:
+            task: One turn of the first motion, for which `serves` is true.
+            direction: Direction from it to the other motion, zero for the clock, ``(n_x,)``.
+            scale: Size of each state, ``(n_x,)``.
+            distance: Distance of both at the start of a turn, in these sizes.
+            vanished: Part of it below which a distance is rounding.
+        """
+        self._run, n = _Run(task, records=False), task.state.size
+        self._pair = pair = binding.PairType(
+            turn=task.until,
+            distance=distance,
+            vanished=vanished,
+            sides=(1 << len(task.graph.open_mode[1])) - 1,
+        )
+        for name, values in (("first", task.state), ("direction", direction), ("scale", scale)):
+            getattr(pair, name)[:n] = values.tolist()
+        for k in task.graph.first.clock:
+            pair.in_clock[k] = 1
+
+    def rates(self, count: int) -> list[float]:
+        """Return ``ln(d / d_0) / T`` of the next turns, for those that began apart [1/s].
+
+        Args:
+            count: Number of turns.
+
+        Raises:
+            SimulationError: If a motion cannot be continued.
+            UnknownOperationError: If a formula holds an operation that tapes do not have.
+        """
+        pair, found = self._pair, np.empty(count)
+        pair.n_turns, pair.n_rates, pair.rates = 0, 0, found.ctypes.data
+        self._run.carry(lambda: self._run.loop.turns(pair, count))
+        return found[: pair.n_rates].tolist()
+
+    def close(self) -> None:
+        """Free the memory. Afterwards there are no further turns."""
+        self._run.loop.close()
+
+
 class _Run:
     """A run of the loop in progress, with what it asks of Python."""
 
-    def __init__(self, task: SimulationTask) -> None:
+    def __init__(self, task: SimulationTask, *, records: bool = True) -> None:
         """Begin the run of a task.
 
         Args:
             task: The simulation task.
+            records: Whether steps and arcs are recorded.
 
         Raises:
             InputError: If the state is not admissible.
@@ -141,6 +197,8 @@ class _Run:
         self._rules: ReferenceRun | None = None
         self._modes: dict[tuple[int, int], GraphMode] = {}
         settings = filled_settings(task)
+        for place in settings:
+            place.records = records
         self.loop = LoopRun(program, settings, graph.p, task.state)
         self.is_over = False
 
@@ -178,8 +236,20 @@ class _Run:
             SimulationError: If the execution cannot be continued.
             UnknownOperationError: If a formula holds an operation that tapes do not have.
         """
+        self.carry(lambda: self.loop.resume(**rows))
+
+    def carry(self, on: Callable[[], int]) -> None:
+        """Call a function that carries the loop on until it has ended or its records are full.
+
+        Args:
+            on: The function. It returns a status, to which the loop is answered.
+
+        Raises:
+            SimulationError: If the execution cannot be continued.
+            UnknownOperationError: If a formula holds an operation that tapes do not have.
+        """
         while True:
-            status = self.loop.resume(**rows)
+            status = on()
             if status == binding.MODE and isinstance(self._program, GraphProgram):
                 asked = self._program.asked_for(self.loop.detail().about)
                 add_asked(self._task.graph.compiled, self._program, asked)
