@@ -14,7 +14,14 @@ from zeno_orbits.maps.mapping import FORMAT, BetweenPoint, Boundary, ParameterMa
 from zeno_orbits.maps.plane import MOST_HALVINGS
 from zeno_orbits.maps.refinement import fine_count
 from zeno_orbits.model import RecordedFile
-from zeno_orbits.work import EntryError, from_plain, read_json, read_object, write_whole
+from zeno_orbits.work import (
+    EntryError,
+    from_plain,
+    read_json,
+    read_object,
+    without_collection,
+    write_whole,
+)
 
 
 def write_map(found: ParameterMap, path: Path) -> None:
@@ -40,6 +47,7 @@ def _listed(name: str, entries: Sequence[Mapping[str, Any]]) -> str:
     return f',\n  "{name}": [\n    ' + ",\n    ".join(lines) + "\n  ]"
 
 
+@without_collection()
 def read_map(path: Path) -> ParameterMap:
     """Read a map file.
 

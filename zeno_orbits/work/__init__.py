@@ -9,7 +9,7 @@ Offers: `parallel_map` and `spread_in_order` run a task as an `ExecutionPlan` sa
 point that crashes workers; `claim_checkpoint`, `keeps_nothing` and `remove_checkpoint` for
 checkpoints; `Progress` and `silent` for progress reports, `portion` for a step of several,
 `report_part` and `parts_told_to` for those from inside a chunk, `BUILD_WATCH` for those of a
-compilation; `write_whole` for files,
+compilation; `write_whole` and `without_collection` for files,
 `file_lock` for locks between processes; `to_plain` and `from_plain` between values and JSON;
 `versions` of the software; `checked`, `require_kinds` and `Checked` refuse arguments of a wrong
 kind; `enclosing_decimal`, `enclosing_ends`, `enclosing_disc`, `decimal_above` and `decimal_below`

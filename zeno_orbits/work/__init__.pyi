@@ -22,6 +22,7 @@ from .files import require_writable as require_writable
 from .files import scratch_folder as scratch_folder
 from .files import write_all as write_all
 from .files import utf8 as utf8
+from .files import without_collection as without_collection
 from .files import write_whole as write_whole
 from .locks import file_lock as file_lock
 from .kinds import Checked as Checked

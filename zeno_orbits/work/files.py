@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import json
 import os
 import re
@@ -151,6 +152,21 @@ def _read_text(path: Path, most: int) -> str:
     if not text.strip():
         raise _ContentError("it is empty")
     return text
+
+
+@contextmanager
+def without_collection() -> Generator[None]:
+    """Pause the collection of garbage in cycles, while a large file becomes values without any.
+
+    Every collection would visit all values that were made before.
+    """
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def read_object(path: Path) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
 from functools import cache, partial
@@ -234,6 +234,8 @@ def _of_mapping(arguments: tuple[Any, ...], finite: bool) -> _Converter:
     def read(data: Any) -> Any:
         found: dict[str, Any] = {}
         entries, word = _named(data), ""
+        if arguments[1] is float and _are_finite(entries.values()):
+            return dict(entries)
         try:
             for word, entry in entries.items():
                 found[word] = value(entry)
@@ -248,16 +250,24 @@ def _of_mapping(arguments: tuple[Any, ...], finite: bool) -> _Converter:
     return read if arguments[0] is str else read_pairs
 
 
+def _are_finite(numbers: Collection[Any]) -> bool:
+    """Return True if all are floats with a finite sum, so that each of them is finite."""
+    return set(map(type, numbers)) == {float} and math.isfinite(sum(numbers))
+
+
 def _of_dataclass(kind: Any, finite: bool) -> _Converter:
     def read(data: Any) -> Any:
         found: dict[str, Any] = {}
         entries, name = _named(data), ""
+        known, required = _read_fields(kind, finite)
         try:
-            for name, own, required in _read_fields(kind, finite):
-                if name in entries:
-                    found[name] = own(entries[name])
-                elif required:
+            for name in required:
+                if name not in entries:
                     _refuse_absence()
+            for name, entry in entries.items():
+                own = known.get(name)
+                if own is not None:
+                    found[name] = own(entry)
         except EntryError as error:
             raise error.inside(f".{name}") from None
         return kind(**found)
@@ -270,17 +280,17 @@ def _refuse_absence() -> NoReturn:
 
 
 @cache
-def _read_fields(kind: type, finite: bool) -> tuple[tuple[str, _Converter, bool], ...]:
-    """Return name and conversion of each field of a dataclass, and whether it is required."""
+def _read_fields(kind: type, finite: bool) -> tuple[dict[str, _Converter], tuple[str, ...]]:
+    """Return the conversion of each field of a dataclass, and the names of required fields."""
     hints = get_type_hints(kind)
-    return tuple(
-        (
-            field.name,
-            _converter(hints[field.name], finite),
-            field.default is MISSING and field.default_factory is MISSING,
-        )
-        for field in fields(kind)
-        if field.init
+    read = [field for field in fields(kind) if field.init]
+    return (
+        {field.name: _converter(hints[field.name], finite) for field in read},
+        tuple(
+            field.name
+            for field in read
+            if field.default is MISSING and field.default_factory is MISSING
+        ),
     )
 
 
@@ -307,6 +317,8 @@ def _number(data: Any, *, finite: bool) -> float:
 
 def _complex(data: Any, *, finite: bool) -> complex:
     real, imaginary = _listed(data, 2)
+    if type(real) is type(imaginary) is float and math.isfinite(real) and math.isfinite(imaginary):
+        return complex(real, imaginary)
     return complex(_number(real, finite=finite), _number(imaginary, finite=finite))
 
 
