@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 
 import casadi as ca
@@ -143,3 +144,44 @@ def test_a_gap_that_is_the_rounding_of_parameters_is_closed() -> None:
     assert problem.graph_dynamics(problem.values()).own.time >= 1.0
     run = zo.simulate(problem, until=1.0)
     assert [arc.mode.value for arc in run.arcs] == ["locked"]
+
+
+def walls_in_two_units(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+    """Return a mass between two walls, whose gaps are in metres and in micrometres."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    mechanism = zo.HybridLagrangian.from_energies(
+        q=q,
+        v=v,
+        kinetic=v**2 / 2,
+        potential=p["k"] * q**2 / 2,
+        stops=(
+            zo.Stop(name="left", gap=q + 1, restitution=0.5),
+            zo.Stop(name="right", gap=1e6 * (1 - q), restitution=0.5),
+        ),
+    )
+    return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
+
+
+def test_scales_do_not_depend_on_what_was_asked_for_before() -> None:
+    # More values than are kept, with times from nanoseconds to years.
+    rates = 10.0 ** np.linspace(-9.0, 9.0, 70)
+
+    def scales_of(problem: zo.Problem, order: int) -> list[CharacteristicScales]:
+        found: dict[float, CharacteristicScales] = {}
+        for omega in [*rates[::order], *rates]:
+            values = problem.values(parameters={"omega": float(omega), "A": 10 / float(omega) ** 2})
+            found[float(omega)] = problem.dynamics(values).own
+        return [found[float(omega)] for omega in rates]
+
+    forward = scales_of(TABLE, 1)
+    assert forward == scales_of(replace(TABLE, name="copy"), -1)
+    # Powers of a thousand.
+    assert len({one.time for one in forward}) == 7
+
+
+def test_each_stop_has_the_scale_of_its_own_gap() -> None:
+    walls = machine_of(walls_in_two_units, line(1), {"k": 1.0})
+    for _ in range(2):
+        # The second machine has the scales of the first one.
+        left, right = walls.graph_dynamics(walls.values()).open_views
+        assert (left.own.gap, right.own.gap) == (1.0, 1e6)

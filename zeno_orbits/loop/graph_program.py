@@ -121,9 +121,8 @@ class GraphProgram(TapedProblem):
     @property
     def library(self) -> Any:
         """The library that carries out the formulas: compiled for the only view, or any."""
-        if self.only_view is not None:
-            return self.only_view.library
-        return super().library
+        only = self.only_view
+        return super().library if only is None else only.library
 
     def compile(self, views: Iterable[Program]) -> None:
         """Compile formulas of views now and use them from the next run.

@@ -238,5 +238,5 @@ def _limits(problem: Problem, bounds: Mapping[str, float] | None) -> Vector:
     for name, bound in declared.items():
         if not bound > 0.0:
             raise InputError(f"Argument `bounds` must be positive, but `{name}` has {bound:g}.")
-    n_q = problem.first_system(problem.values()).n_q
+    n_q = problem.compiled_graph().n_q
     return bounds_of(problem.state_names, problem.state_units, n_q, declared)

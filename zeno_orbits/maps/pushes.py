@@ -473,7 +473,7 @@ def push_units(
     Raises:
         InputError: If a coordinate is unknown, or the force is zero or infinite.
     """
-    names = problem.state_names[: problem.compiled_graph().graph.mechanism.q.numel()]
+    names = problem.state_names[: problem.compiled_graph().n_q]
     if not direction:
         return {unit_of_push(problem, {name: 1.0}) for name in names}
     _require_direction(direction, names, argument)

@@ -37,13 +37,18 @@ _MOST = 16
 
 def bundled_problems() -> dict[str, Path]:
     """Return name to path of every problem that comes with the package."""
-    folder = _problems_folder()
-    return {
-        path.stem: path
+    return dict(_problems_in(_problems_folder()))
+
+
+@lru_cache(maxsize=1)
+def _problems_in(folder: Path) -> tuple[tuple[str, Path], ...]:
+    """Return name and path of the problems in a folder. That of the package does not change."""
+    return tuple(
+        (path.stem, path)
         for path in sorted(folder.iterdir())
         if (path.is_dir() and (path / "model.py").is_file())
         or (path.suffix == ".py" and not path.stem.startswith("_"))
-    }
+    )
 
 
 def load_problem(name_or_path: str | Path) -> Problem:
@@ -336,6 +341,7 @@ def load_reference(problem: Problem) -> ModuleType:
     return _execute(problem.reference)
 
 
+@lru_cache(maxsize=1)
 def _problems_folder() -> Path:
     package = Path(__file__).resolve().parents[1]
     installed = package / "problems"

@@ -64,7 +64,10 @@ def bind(
         if not starts:
             return UNIT_SCALES
         whole = replace(plain, formulas=formulas)
-        return own_scale(whole, starts, compiled.state_units, compiled.clock, compiled.further)
+        units, clock, further = compiled.state_units, compiled.clock, compiled.further
+        return compiled.known_scales.at(
+            p, 0, lambda: own_scale(whole, starts, units, clock, further)
+        )
 
     formulas = BoundFormulas(system=compiled, values=p, parts=plain.formula_parts)
     return replace(

@@ -31,6 +31,7 @@ from zeno_orbits.model.numeric.compiled_flow import (
 from zeno_orbits.model.numeric.differentials import (
     DifferentiableFunctions,
 )
+from zeno_orbits.model.numeric.known_scales import KnownScales
 from zeno_orbits.model.scale import CharacteristicScales
 from zeno_orbits.model.starts import Starts, no_starts
 
@@ -85,6 +86,11 @@ class CompiledSystem:
     further: tuple[int, ...] = ()
     is_balanced: bool = True
     source: tuple[CompletedSystem, ca.SX] | None = field(default=None, compare=False)
+
+    @cached_property
+    def known_scales(self) -> KnownScales:
+        """Scales that were computed with these functions."""
+        return KnownScales()
 
     @cached_property
     def differentiable(self) -> DifferentiableFunctions:

@@ -33,6 +33,7 @@ from zeno_orbits.model.numeric.compiled_flow import (
     mode_functions,
 )
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.numeric.known_scales import KnownScales
 from zeno_orbits.model.numeric.own_scale import own_scale
 from zeno_orbits.model.scale import CharacteristicScales
 from zeno_orbits.model.starts import Starts
@@ -85,6 +86,16 @@ class CompiledGraph:
     _powers: dict[GraphMode, Columns] = field(
         default_factory=dict["GraphMode", Columns], repr=False
     )
+
+    @cached_property
+    def n_q(self) -> int:
+        """Number of coordinates."""
+        return self.graph.mechanism.q.numel()
+
+    @cached_property
+    def known_scales(self) -> KnownScales:
+        """Scales that were computed with these functions."""
+        return KnownScales()
 
     def system(self, mode: GraphMode, stop: int) -> CompiledSystem:
         """Return the functions of a stop that is open in a mode."""
@@ -312,7 +323,7 @@ class GraphDynamics:
     @property
     def n_q(self) -> int:
         """Number of coordinates."""
-        return self.compiled.graph.mechanism.q.numel()
+        return self.compiled.n_q
 
     @property
     def has_one_guard(self) -> bool:
@@ -395,21 +406,25 @@ class GraphDynamics:
         return _SwitchesCall(self.compiled.switches, self.p)
 
     def _scale(self, stop: int) -> CharacteristicScales:
-        """Return the scales of a stop, from the branches of the kinks at the initial states."""
+        """Return the scales of a stop, those of other values if this graph has them."""
         if stop not in self._scales:
-            view, compiled = self.view(self.open_mode, stop), self.compiled
-            system = compiled.system(self.open_mode, stop)
-            branch = partial(self._on_branch, stop) if compiled.graph.conditions else None
-            self._scales[stop] = own_scale(
-                view,
-                compiled.starts(self.p),
-                compiled.state_units,
-                system.clock,
-                system.further,
-                branch,
-                self.open_views,
-            )
+            known = self.compiled.known_scales
+            self._scales[stop] = known.at(self.p, stop, partial(self._own_scale, stop))
         return self._scales[stop]
+
+    def _own_scale(self, stop: int) -> CharacteristicScales:
+        """Return the scales of a stop, from the branches of the kinks at the initial states."""
+        view, compiled = self.view(self.open_mode, stop), self.compiled
+        system = compiled.system(self.open_mode, stop)
+        return own_scale(
+            view,
+            compiled.starts(self.p),
+            compiled.state_units,
+            system.clock,
+            system.further,
+            partial(self._on_branch, stop) if compiled.graph.conditions else None,
+            self.open_views,
+        )
 
     def _on_branch(self, stop: int, x: Vector) -> HybridDynamics:
         """Return the system of a stop on the branch of the kinks at a state, all stops open."""
