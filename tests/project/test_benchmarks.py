@@ -56,6 +56,7 @@ REDUCED = {
     "transients": ("coverage", "--count", "1", "--machines", "ball", "pendulum"),
     "event_verdicts": ("--yes", "3", "--no", "4"),
     "verdicts": ("--quick", "--workers", "1"),
+    "warm_calls": ("--runs", "1", "--size", "20"),
     "warm_orbit": ("--runs", "9"),
 }
 """Script to the words of a run of at most a minute or so."""
