@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import time
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import pytest
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.work import require_writable, scratch_folder, write_whole
+from zeno_orbits.work import require_writable, scratch_folder, without_collection, write_whole
 
 
 def _full(*_: Any, **__: Any) -> Any:
@@ -188,3 +189,24 @@ def test_a_folder_of_another_user_stays(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(os, "geteuid", lambda: old.stat().st_uid + 1)
     with scratch_folder(tmp_path):
         assert old.exists()
+
+
+def _fail_without_collection() -> None:
+    with without_collection():
+        assert not gc.isenabled()
+        _full()
+
+
+def test_garbage_is_collected_again_after_a_pause_even_after_an_error() -> None:
+    assert gc.isenabled()
+    with pytest.raises(OSError, match="No space"):
+        _fail_without_collection()
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        with without_collection():
+            pass
+        # Whoever had turned it off finds it off.
+        assert not gc.isenabled()
+    finally:
+        gc.enable()

@@ -165,6 +165,30 @@ def test_numbers_that_are_not_finite_are_refused_where_a_result_must_be(number: 
 
 
 @pytest.mark.parametrize(
+    ("sizes", "told"),
+    [
+        ({"a": math.inf, "b": -math.inf}, "`a` must be a finite number"),
+        ({"a": 1.0, "b": math.nan}, "`b` must be a finite number"),
+        ({"a": 1.0, "b": True}, "`b` must be a number"),
+        ({"a": 1.0, "b": None}, "`b` must be a number"),
+    ],
+)
+def test_a_wrong_number_among_named_ones_is_refused(sizes: dict[str, Any], told: str) -> None:
+    with pytest.raises(EntryError, match=told):
+        from_plain(dict[str, float], sizes, finite=True)
+
+
+def test_named_numbers_are_read_as_floats_even_if_their_sum_is_infinite() -> None:
+    found = from_plain(dict[str, float], {"a": 1e308, "b": 1.5e308, "c": 2}, finite=True)
+    assert found == {"a": 1e308, "b": 1.5e308, "c": 2.0}
+    assert {type(one) for one in found.values()} == {float}
+    whole = {"a": 1e308, "b": 1e308}
+    read = from_plain(dict[str, float], whole, finite=True)
+    assert read == whole
+    assert read is not whole
+
+
+@pytest.mark.parametrize(
     ("text", "told"),
     [
         ('{"a": 1, "b": {"c": 1, "c": 1}}', "names `c` twice"),
