@@ -72,6 +72,7 @@ from .maps.scatter import Scatter as Scatter
 from .maps.scatter import ScatterSettings as ScatterSettings
 from .model.contact import impact_speed as impact_speed
 from .model.drives.auxiliary import Auxiliary as Auxiliary
+from .model.drives.holds import Hold as Hold
 from .model.drives.circuits import Circuit as Circuit
 from .model.drives.circuits import circuit_drive as circuit_drive
 from .model.clock import Clock as Clock
@@ -182,6 +183,7 @@ __all__ = [
     "Gear",
     "HBridge",
     "HeldMotion",
+    "Hold",
     "HybridLagrangian",
     "Identification",
     "InputError",

@@ -77,7 +77,8 @@ class GraphType(ctypes.Structure):
         *((name, _count) for name in ("n_numbers", "switches_place", "delassus_place")),
         *((name, _count) for name in ("orders_place", "first_clock", "end_clock")),
         *((name, TapeType) for name in ("switches", "delassus", "orders")),
-        *((name, _address) for name in ("resets", "reset_places", "view_keys", "view_places")),
+        *((name, _address) for name in ("resets", "reset_places", "causes")),
+        *((name, _address) for name in ("view_keys", "view_places")),
         *((name, _address) for name in ("views", "side_keys", "sides")),
     ]
 

@@ -155,6 +155,7 @@ class _Arrays:
             *map(self.tape, shared),
             self.name("zl_tape", resets),
             self.name("long long", [str(program.place_of(tape)) for tape in program.resets]),
+            self.name("long long", list(map(str, program.cause_keys))),
             self.name("long long", [str(view.key) for view in program.views]),
             self.name("long long", [str(program.place_of(view)) for view in program.views]),
             self.name("zl_problem", views),

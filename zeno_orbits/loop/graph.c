@@ -230,6 +230,7 @@ static void find_others(Graph *g) {
         formulas_of_mode(&m, ZL_FREE, other++);
     }
     for (k = 0; k < graph->n_switches; k++) {
+        if (k < graph->n_declared && graph->causes[k] >= 0) continue;
         other->kind = ZL_SWITCH;
         other->index = k;
         other->sign = is_above(g, k) ? 1.0 : -1.0;
@@ -1115,17 +1116,46 @@ static int are_opened(Graph *g, long long stops, double time, const double *x) {
     return 1;
 }
 
+/* The switch that an event of a stop causes, or -1. */
+static int setter_at(const Graph *g, int kind, int stop) {
+    const zl_graph *graph = g->whole->graph;
+    int k;
+    for (k = 0; k < graph->n_declared; k++)
+        if (graph->causes[k] == ZL_CAUSE(kind, stop)) return k;
+    return -1;
+}
+
+/* Set states anew after an event of a stop, which may have ended the run. */
+static int set_anew(Graph *g, int kind, int stop, double time, const double *state) {
+    zl_run *run = g->m.run;
+    const zl_graph *table = g->whole->graph;
+    const int k = setter_at(g, kind, stop), is_over = run->stage == OVER;
+    double x[ZL_MOST], after[ZL_MOST];
+    int status;
+    if (k < 0) return GO_ON;
+    memcpy(x, state, (size_t)g->whole->n_x * sizeof(double));
+    shared(g, &table->resets[k], table->reset_places[k], x, after);
+    run->graph.flipped = 0;
+    status = count_switch(g, time, k, x, after);
+    if (status != GO_ON || is_over) return status;
+    run->graph.has_current = 0;
+    take_sides(g, after);
+    return placed(g, time, after, closed_at_start(g), k, -1, 0);
+}
+
 /* Record a release, and those of the stops that open with it. */
 static int release_all(Graph *g, double time, const double *x) {
     zl_run *run = g->m.run;
     const long long others = run->graph.together & ~BIT(focus_of(g));
-    const int status = release(&g->m, time, x);
+    const int stop = focus_of(g), status = release(&g->m, time, x);
     double state[ZL_MOST];
-    if (status != GO_ON || run->stage == OVER || !others) return status;
-    memcpy(state, run->start.state, sizeof state);
-    look(g, run->graph.rest & ~others, focus_of(g));
-    are_opened(g, others, time, state);
-    return GO_ON;
+    if (status != GO_ON) return status;
+    if (run->stage != OVER && others) {
+        memcpy(state, run->start.state, sizeof state);
+        look(g, run->graph.rest & ~others, focus_of(g));
+        are_opened(g, others, time, state);
+    }
+    return set_anew(g, ZL_RELEASE, stop, time, run->start.state);
 }
 
 /* Apply a switch whose guard fell through zero, within a flight with its scaled gap and rate, if it is
@@ -1410,6 +1440,9 @@ static int limit_of_each(Graph *g, double time, const double *before, double app
         if (!((graph->rest | BIT(graph->focus)) & BIT(k)) && rests(g, k, before)) stops |= BIT(k);
     if (!stops) return GO_ON;
     stops |= BIT(graph->focus);
+    for (k = 0; k < n; k++)
+        if ((stops & BIT(k)) && (setter_at(g, ZL_ZENO, k) >= 0 || setter_at(g, ZL_IMPACT, k) >= 0))
+            return GO_ON;
     closed = stops | graph->rest;
     if (require_apart(g, stops, graph->rest, time, before) != GO_ON) return GO_ON;
     for (k = 0; k < n; k++)
@@ -1490,7 +1523,8 @@ static int strike(Graph *g, double time, const double *before, double approach) 
     const long long was = graph->rest, n_x = g->whole->n_x, focus = BIT(graph->focus);
     long long closed, candidates, held = focus;
     double given[ZL_MOST + 1], landed[3 * ZL_MOST + 2];
-    int status, done, comes_in_turn;
+    const int stop = focus_of(g);
+    int status, done, comes_in_turn, reached, is_set;
     comes_in_turn = see_impact(&g->m, time) && they_rest(g, before);
     status = limit_of_each(g, time, before, approach, &done);
     if (status != GO_ON || done) return status;
@@ -1506,7 +1540,14 @@ static int strike(Graph *g, double time, const double *before, double approach) 
         look(g, graph->rest, focus_of(g));
     }
     status = impact(&g->m, time, before, approach);
-    if (status != GO_ON || run->stage == OVER) return status;
+    if (status != GO_ON) return status;
+    if (run->stage == OVER) {
+        const zl_records *records = g->m.records;
+        const double *last = records->events + records->n_events * (ZL_EVENT_WIDTH + 2 * n_x) - n_x;
+        return set_anew(g, ZL_IMPACT, stop, time, last);
+    }
+    reached = start->mode == ZL_LOCKED;
+    is_set = setter_at(g, ZL_IMPACT, stop) >= 0 || (reached && setter_at(g, ZL_ZENO, stop) >= 0);
     /* The stop opens at once, or its only impact was a Zeno point. */
     if (!start->has_speed) graph->has_current = 0;
     candidates = closed = closed_at_start(g);
@@ -1529,7 +1570,10 @@ static int strike(Graph *g, double time, const double *before, double approach) 
             memcpy(start->rate, told + n_x + 1, (size_t)n_x * sizeof(double));
         }
     }
-    return strike_again(g, time);
+    if (!is_set) return strike_again(g, time);
+    status = set_anew(g, ZL_IMPACT, stop, time, start->state);
+    if (status != GO_ON || !reached || g->asks) return status;
+    return set_anew(g, ZL_ZENO, stop, time, start->state);
 }
 
 /* Apply the impact at the end of a flight, or fly on from a graze. */
@@ -1742,7 +1786,7 @@ static int fly_on(Graph *g) {
             graph->has_current = 0;
             start_without_speed(run, ZL_LOCKED, limit.time);
             memcpy(start->state, limit.state, (size_t)g->whole->n_x * sizeof(double));
-            return GO_ON;
+            return set_anew(g, ZL_ZENO, focus_of(g), limit.time, start->state);
         }
         if (is_clear) graph->has_current = 0;
     }

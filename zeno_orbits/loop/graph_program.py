@@ -36,6 +36,8 @@ class GraphFormulas:
             `armed`)``.
         delassus: ``(x, p) -> J W J^T`` of all stops, by which an impact opens stops.
         resets: ``(x, p) -> x`` after each declared switch.
+        causes: For each declared switch the event of a stop that causes it, as kind and index of
+            the stop, or ``None`` for a switch with a guard of its own.
         orders: ``p -> (lower times, upper times, least upper times)`` of waveforms.
         clock: Index of the first state of the clock, and of the first state after the clock.
     """
@@ -49,6 +51,7 @@ class GraphFormulas:
     switches: ca.Function
     delassus: ca.Function
     resets: Sequence[ca.Function]
+    causes: Sequence[tuple[int, int] | None]
     orders: ca.Function
     clock: tuple[int, int]
 
@@ -162,6 +165,11 @@ class GraphProgram(TapedProblem):
         return self.formulas.n_stops
 
     @property
+    def cause_keys(self) -> list[int]:
+        """The cause of each declared switch: ``ZL_CAUSE``, or -1."""
+        return [-1 if one is None else one[0] << 5 | one[1] for one in self.formulas.causes]
+
+    @property
     def n_numbers(self) -> int:
         """Numbers of a run, apart from its settings and parameters."""
         return self._n_numbers
@@ -194,6 +202,7 @@ class GraphProgram(TapedProblem):
         tables = {
             "resets": resets,
             "reset_places": _whole([self._places[id(tape)] for tape in self.resets]),
+            "causes": _whole(self.cause_keys),
             "view_keys": _whole([view.key for view in self.views]),
             "view_places": _whole([self._places[view] for view in self.views]),
             "views": views,

@@ -87,11 +87,15 @@ struct zl_graph {
     zl_tape orders;   /* of switching times: lower, upper, and least upper times */
     const zl_tape *resets;                    /* the state after each declared switch */
     const long long *reset_places;
+    const long long *causes;                  /* ZL_CAUSE of each declared switch, -1: its guard */
     const long long *view_keys, *view_places; /* ZL_VIEW_KEY; places of numbers */
     const zl_problem *views;
     const long long *side_keys;               /* ZL_SIDE_KEY */
     const zl_side *sides;
 };
+
+/* The event of a stop that causes a switch, whose guard then never falls. */
+#define ZL_CAUSE(kind, stop) ((long long)(kind) << 5 | (stop))
 
 #define ZL_MODE_KEY(closed, branches) ((branches) << ZL_STOPS | (closed))
 #define ZL_VIEW_KEY(mode, stop) ((mode) << 5 | (stop))
@@ -121,8 +125,9 @@ typedef struct {
     long long most_estimates;
 } zl_records;
 
-/* Events at one time at most: a switch, and an impact, a Zeno point and two releases of each stop. */
-#define ZL_AT_ONCE(n_stops) (1 + 4 * (n_stops))
+/* Events at one time at most: a switch, and an impact, a Zeno point and two releases of each stop, each
+   with a switch that it causes. */
+#define ZL_AT_ONCE(n_stops) (1 + 8 * (n_stops))
 
 enum { ZL_STEP_WIDTH = 2, ZL_ARC_WIDTH = 14, ZL_EVENT_WIDTH = 6, ZL_ESTIMATE_WIDTH = 4 };
 /* Entries of a record before its states: after a step; at start and end of an arc; before and after

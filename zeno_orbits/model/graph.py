@@ -19,8 +19,10 @@ from typing import Any
 
 import casadi as ca
 
+from zeno_orbits.errors import did_you_mean
 from zeno_orbits.model.drives.auxiliary import Auxiliary
-from zeno_orbits.model.drives.circuits import Drive
+from zeno_orbits.model.drives.circuits import Drive, Held
+from zeno_orbits.model.drives.holds import Hold
 from zeno_orbits.model.drives.waveforms import TimeOrder, time_orders
 from zeno_orbits.model.expressions.kinks import branched
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate, completed
@@ -33,7 +35,7 @@ from zeno_orbits.work import checked
 @checked
 def hybrid_system(
     lagrangian: HybridLagrangian,
-    drive: Drive | Auxiliary | Sequence[Drive | Auxiliary] | Any,  # others are refused with hints
+    drive: Drive | Auxiliary | Hold | Sequence[Drive | Auxiliary | Hold] | Any,
     restitution: ca.SX | float | None = None,
     *,
     switches: Sequence[Switch] | None = None,
@@ -72,7 +74,8 @@ def hybrid_system(
         if restitution is None:
             raise ValueError("Argument `restitution` is missing: the third one of `hybrid_system`.")
         one = completed(lagrangian, drive, ca.SX(restitution))
-        if switches is None and not any(kinks_of(one.mechanism, one.drive, one.state)):
+        kinks = kinks_of(one.mechanism, one.drive, one.state)
+        if switches is None and not one.drive.holds and not any(kinks):
             return one.as_built()
         return replace(one, graph=graph_of_one_stop(one, switches or ())).as_built()
     if restitution is not None and not lagrangian.stops:
@@ -148,6 +151,9 @@ def _graph(
             restitution depend on the state.
     """
     mechanism, drive = one.bare, one.drive
+    for switch in switches:
+        _require_guard(one, switch)
+    switches, causes = _with_holds(one, stops, switches)
     if len(stops) > 1 and drive.after_impact is not None:
         raise ValueError(
             "Argument `after_impact` must be left out of a machine with several stops."
@@ -172,12 +178,56 @@ def _graph(
         delassus=delassus,
         coupling=coupling,
         resets=tuple(_reset(one, switch) for switch in switches),
+        causes=causes,
         state=one.state,
     )
     require_event_names([*(stop.name for stop in stops), *bare.switch_names])
     if bare.has_current_layers:
         _require_constant_restitutions(bare)
     return bare
+
+
+def _with_holds(
+    one: CompletedSystem, stops: tuple[Stop, ...], switches: tuple[Switch, ...]
+) -> tuple[tuple[Switch, ...], tuple[str, ...]]:
+    """Return the switches with one for each event of a stop that sets states, and their causes.
+
+    Raises:
+        ValueError: If the machine has no such event.
+    """
+    events = [f"switch {switch.name}" for switch in switches]
+    known = [f"{kind} {stop.name}" for stop in stops for kind in ("impact", "zeno", "release")]
+    found, causes = list(switches), [""] * len(switches)
+    for at in dict.fromkeys(held.at for held in one.drive.holds):
+        if at in events:
+            continue
+        if at not in known:
+            hint = did_you_mean(at, [*known, *events])
+            told = f"{', '.join([*known, *events]) or 'none'}), but it is `{at}`.{hint}"
+            raise ValueError(f"Argument `at` must be an event of the machine ({told}")
+        after = _set_anew(one, at, one.drive.states)
+        # Its guard never falls: the event of the stop is its cause.
+        found.append(Switch(name=f"hold at {at}", guard=ca.SX(1), armed=0.0, others_after=after))
+        causes.append(at)
+    return tuple(found), tuple(causes)
+
+
+def _held(one: CompletedSystem, switch: Switch, reset: ca.SX) -> ca.SX:
+    """Return the state after a declared switch at which states are set."""
+    at = f"switch {switch.name}"
+    if not any(held.at == at for held in one.drive.holds):
+        return reset
+    first = 2 * one.n_q
+    after = ca.SX(one.state)
+    after[first : first + one.drive.states.numel()] = _set_anew(one, at, one.drive.states)
+    return ca.substitute(after, one.state, reset)
+
+
+def _set_anew(one: CompletedSystem, at: str, states: ca.SX) -> ca.SX:
+    """Return the states of a drive, those that are set at an event by their formulas."""
+    held: list[Held] = [held for held in one.drive.holds if held.at == at]
+    formulas = ca.vertcat(*(each.after for each in held))
+    return ca.substitute(states, ca.vertcat(*(each.states for each in held)), formulas)
 
 
 def _delassus(mechanism: HybridLagrangian, normals: ca.SX) -> ca.SX:
@@ -215,12 +265,11 @@ def _time_orders(one: CompletedSystem) -> tuple[TimeOrder, ...]:
     return orders
 
 
-def _reset(one: CompletedSystem, switch: Switch) -> ca.SX:
-    """Return the state after a switch.
+def _require_guard(one: CompletedSystem, switch: Switch) -> None:
+    """Refuse a declared guard that is not a smooth formula of the state.
 
     Raises:
-        ValueError: If the guard is not a formula of the state, or a reset changes the number of
-            states.
+        ValueError: If it is not.
     """
     if not ca.depends_on(ca.SX(switch.guard), one.state):
         raise ValueError(
@@ -231,6 +280,14 @@ def _reset(one: CompletedSystem, switch: Switch) -> ca.SX:
         raise ValueError(
             f"Argument `guard` of the switch `{switch.name}` must be smooth, but it holds a kink."
         )
+
+
+def _reset(one: CompletedSystem, switch: Switch) -> ca.SX:
+    """Return the state after a switch, at which states may be set.
+
+    Raises:
+        ValueError: If a reset changes the number of states.
+    """
     n_q, n_drive = one.n_q, one.drive.states.numel()
     parts: list[ca.SX] = []
     first = 0
@@ -244,7 +301,7 @@ def _reset(one: CompletedSystem, switch: Switch) -> ca.SX:
             )
         parts.append(after)
         first += n
-    return ca.vertcat(*parts, one.state[first:])
+    return _held(one, switch, ca.vertcat(*parts, one.state[first:]))
 
 
 def _require_smooth(state: ca.SX, **formulas: ca.SX) -> None:

@@ -22,6 +22,7 @@ from zeno_orbits.model.contact import (
 )
 from zeno_orbits.model.drives.auxiliary import Auxiliary, joined_auxiliary
 from zeno_orbits.model.drives.circuits import Drive
+from zeno_orbits.model.drives.holds import Hold
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.modes import ModeGraph
 
@@ -138,7 +139,7 @@ class CompletedSystem:
 
 def completed(
     lagrangian: HybridLagrangian,
-    drive: Drive | Auxiliary | Sequence[Drive | Auxiliary],
+    drive: Drive | Auxiliary | Hold | Sequence[Drive | Auxiliary | Hold],
     restitution: ca.SX,
 ) -> CompletedSystem:
     r"""Return the completed system of a mechanism with one stop, as `complete` describes it.

@@ -36,6 +36,8 @@ class ModeGraph:
             current layer after an impact. An impact opens other stops by this matrix.
         resets: State after every declared switch, ``(n_x,)``.
         state: ``(q, v, states of the drive, clock)``.
+        causes: The event of a stop that causes each declared switch, or no text for a switch with
+            a guard of its own. The latter come first.
     """
 
     mechanism: HybridLagrangian
@@ -49,6 +51,7 @@ class ModeGraph:
     coupling: ca.SX
     resets: tuple[ca.SX, ...]
     state: ca.SX
+    causes: tuple[str, ...] = ()
     _branches: dict[tuple[tuple[bool, ...], tuple[int, ...]], _Branch] = field(
         default_factory=dict["tuple[tuple[bool, ...], tuple[int, ...]]", "_Branch"],
         compare=False,

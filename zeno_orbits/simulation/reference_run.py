@@ -324,6 +324,10 @@ class ReferenceRun(StopRun):
             self.arcs[-1] = self._named(self.arcs[-1], self.rest)
         self.current = None
 
+    def after_zeno_point(self, after: ArcStart) -> ArcStart | None:
+        """Return the start of the contact after a Zeno point, at which states may be set."""
+        return self._set_anew(f"zeno {self.stop_name}", after.time, after.state, after)
+
     def limit_of(self, estimates: Sequence[TailEstimate]) -> ZenoLimit | None:
         """Return the Zeno point. Flights that a kink splits determine it less accurately."""
         if not self.split_by[0]:
@@ -553,12 +557,38 @@ class ReferenceRun(StopRun):
 
     def release(self, time: float, x: Vector) -> ArcStart | None:
         """Record a release, and those of the stops that open with it."""
-        others = [k for k in self.together if k != self.focus]
+        others, name = [k for k in self.together if k != self.focus], self.stop_name
         after = StopRun.release(self, time, x)
-        if after is None or not others:
+        released = self.events[-1].after
+        if after is not None and others:
+            self.look(tuple(k for k in self.rest if k not in others), self.focus)
+            after = None if self._opened(others, time, after.state) else after
+        return self._set_anew(f"release {name}", time, released, after)
+
+    def _set_anew(
+        self, event: str, time: float, x: Vector, after: ArcStart | None
+    ) -> ArcStart | None:
+        """Set states anew after an event of a stop.
+
+        Args:
+            event: Name of the event.
+            time: When [s].
+            x: State just after it, ``(n_x,)``.
+            after: The start without that, or ``None`` if the event ends the execution.
+        """
+        s = self.graph.setter_at(event)
+        if s is None:
             return after
-        self.look(tuple(k for k in self.rest if k not in others), self.focus)
-        return None if self._opened(others, time, after.state) else after
+        then = self.graph.after_switch(s, x)
+        self.flipped = math.nan, frozenset()
+        name = self.graph.switch_names[s]
+        self._count_switch(time, name, x, then)
+        if after is None:
+            return None
+        closed = self._closed(after)
+        self.current = None
+        self._take_sides(then)
+        return self._placed(time, then, closed, switch=name)
 
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
         """Apply the reset map in the mode that its impulses determine."""
@@ -576,9 +606,11 @@ class ReferenceRun(StopRun):
             self.look(self._kept(state_minus), self.focus)
             self._take_sides(self.dynamics.reset_map(state_minus, approach_rate))
             self.look(self.rest, self.focus)
+        name = self.stop_name
         after = StopRun.impact(self, time, state_minus, approach_rate)
         if after is None:
-            return None
+            return self._set_anew(f"impact {name}", time, self.events[-1].after, None)
+        kinds = ("impact", "zeno") if after.mode is Mode.LOCKED else ("impact",)
         # The reset changes the forces on the other closed stops.
         candidates = self._closed(after)
         closed = self._contact_set(time, after.state, candidates) if self.rest else candidates
@@ -587,7 +619,13 @@ class ReferenceRun(StopRun):
             return None
         if closed != candidates:
             after = self._opened_by_impact(after, closed)
-        return self._struck_again(time, after)
+        events = [f"{kind} {name}" for kind in kinds]
+        if all(self.graph.setter_at(event) is None for event in events):
+            return self._struck_again(time, after)
+        for event in events:
+            if after is not None:
+                after = self._set_anew(event, time, after.state, after)
+        return after
 
     def _rest(self, stops: Collection[str], x: Vector) -> bool:
         """Return True if stops have zero gap and gap rate to the accuracy of a flight."""
@@ -620,6 +658,10 @@ class ReferenceRun(StopRun):
         if not stops:
             return None
         stops = sorted((*stops, self.focus))
+        names = [self.graph.stop_names[k] for k in stops]
+        events = [f"{kind} {name}" for kind in ("zeno", "impact") for name in names]
+        if any(self.graph.setter_at(event) is not None for event in events):
+            return None
         closed = tuple(sorted((*self.rest, *stops)))
         if self._coupled(stops, self.rest, x) is not None:
             return None
@@ -861,6 +903,8 @@ class ReferenceRun(StopRun):
         if unknown.size:
             raise undefined_guard(self.graph.switch_names[int(unknown[0])], start.time, x)
         for s, above in enumerate(self._signs()):
+            if s < self.graph.n_declared and self.graph.causes[s]:
+                continue
             value = float(values[s] if above else -values[s])
             flow = self.graph.guard_flow(mode, s, bool(above))
             on_guard = value <= float(levels[s])

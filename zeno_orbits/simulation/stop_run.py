@@ -393,6 +393,14 @@ class StopRun(ABC):
         if after.mode is Mode.FREE:
             return None
         self.reach(limit, start.impact, speed)
+        return self.after_zeno_point(after)
+
+    def after_zeno_point(self, after: ArcStart) -> ArcStart | None:
+        """Return the start of the contact after a Zeno point.
+
+        Args:
+            after: The start, at the Zeno state.
+        """
         return after
 
     def reach(self, limit: ZenoLimit, last: Impact, last_speed: float) -> None:

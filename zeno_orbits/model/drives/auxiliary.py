@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from zeno_orbits.model.drives.circuits import Circuit, Drive
+from zeno_orbits.model.drives.holds import Hold
 from zeno_orbits.model.drives.motors import MotorBank
 from zeno_orbits.model.expressions.operations import expand_calls
 from zeno_orbits.model.lagrangian import HybridLagrangian, require_symbols
@@ -114,7 +115,8 @@ class Auxiliary:
 
 
 def joined_auxiliary(
-    mechanism: HybridLagrangian, drives: Drive | Auxiliary | Sequence[Drive | Auxiliary]
+    mechanism: HybridLagrangian,
+    drives: Drive | Auxiliary | Hold | Sequence[Drive | Auxiliary | Hold],
 ) -> Drive:
     """Return several drives as one, their states one after the other.
 
@@ -126,7 +128,9 @@ def joined_auxiliary(
         ValueError: If something else is among them, or two share a state.
     """
     given = list(drives) if isinstance(drives, Sequence) else [drives]
-    parts = [one.drive(mechanism) if isinstance(one, Auxiliary) else _known(one) for one in given]
+    parts = [
+        one.drive(mechanism) if isinstance(one, Auxiliary | Hold) else _known(one) for one in given
+    ]
     if len(parts) == 1:
         return parts[0]
     states = ca.vertcat(ca.SX(0, 1), *(part.states for part in parts))
@@ -161,6 +165,7 @@ def joined_auxiliary(
         is_balanced=all(part.is_balanced for part in parts),
         fed=fed,
         joins=tuple(parts),
+        holds=sum((part.holds for part in parts), ()),
     )
 
 

@@ -77,6 +77,20 @@ class Circuit:
             object.__setattr__(self, name, matrix)
 
 
+class Held(NamedTuple):
+    """States that are set at an event, and are constant otherwise.
+
+    Attributes:
+        states: The states, ``(n,)``.
+        at: The event.
+        after: The states just after it, ``(n,)``.
+    """
+
+    states: ca.SX
+    at: str
+    after: ca.SX
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
     """States, a force and their powers that act on a mechanism in addition to its own forces.
@@ -109,6 +123,7 @@ class Drive:
         fed: Function from other source voltages, ``(n_M,)``, to the drive that they feed, or
             ``None`` for a drive without sources.
         joins: The drives that were combined, or empty for a single drive.
+        holds: Those of its states that are set at events.
     """
 
     states: ca.SX
@@ -130,6 +145,7 @@ class Drive:
     motion: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     fed: Callable[[ca.SX], Drive] | None = None
     joins: tuple[Drive, ...] = ()
+    holds: tuple[Held, ...] = ()
 
     @property
     def current(self) -> ca.SX:

@@ -297,6 +297,7 @@ class GraphDynamics:
         self.stop_names = tuple(stop.name for stop in graph.stops)
         self.switch_names = graph.switch_names
         self.n_declared = len(graph.switches)
+        self.causes = graph.causes
         self._views: dict[tuple[GraphMode, int], HybridDynamics] = {}
         self._flows: dict[tuple[GraphMode, int, bool], CompiledFlow] = {}
         self._scales: dict[int, CharacteristicScales] = {}
@@ -544,6 +545,14 @@ class GraphDynamics:
     def mode_of(self, closed: Sequence[str], sides: tuple[bool, ...]) -> GraphMode:
         """Return a mode from the names of its closed stops and the sides of the kinks."""
         return tuple(sorted(self.stop_names.index(name) for name in closed)), sides
+
+    def setter_at(self, event: str) -> int | None:
+        """Return the index of the switch that sets states at an event of a stop, or ``None``.
+
+        Args:
+            event: Name of the event, such as ``release stop``.
+        """
+        return self.causes.index(event) if event in self.causes else None
 
     def after_switch(self, switch: int, x: Vector) -> Vector:
         """Return the state after a declared switch, ``(n_x,)``."""

@@ -31,6 +31,7 @@ class OneStop(GraphDynamics):
         self.stop_names = (stop,)
         self.switch_names = ()
         self.n_declared = 0
+        self.causes = ()
         self.open_mode = (), ()
         self.p = np.zeros(0) if dynamics.formulas is None else dynamics.formulas.values
 
@@ -38,6 +39,9 @@ class OneStop(GraphDynamics):
     def n_q(self) -> int:
         """Number of coordinates."""
         return self._dynamics.n_q
+
+    def setter_at(self, event: str) -> None:
+        """Return that no event sets states."""
 
     def view(self, mode: GraphMode, stop: int) -> HybridDynamics:
         """Return the system, whatever is asked for."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import chain, combinations, product
 from weakref import WeakKeyDictionary
 
@@ -81,6 +81,7 @@ def _made(compiled: CompiledGraph) -> GraphProgram | str:
         switches=compiled.switches,
         delassus=compiled.coupling,
         resets=compiled.resets,
+        causes=[_cause(one, [stop.name for stop in graph.stops]) for one in graph.causes],
         orders=compiled.times,
         clock=(clock[0], clock[-1] + 1) if clock else (0, 0),
     )
@@ -90,6 +91,15 @@ def _made(compiled: CompiledGraph) -> GraphProgram | str:
         return f"a formula holds the operation `{error}`"
     made.add({first: program}, {})
     return made
+
+
+def _cause(event: str, stops: Sequence[str]) -> tuple[int, int] | None:
+    """Return the kind and the stop of an event that causes a switch, or ``None`` for no text."""
+    kind, _, stop = event.partition(" ")
+    return (_KINDS[kind], stops.index(stop)) if event else None
+
+
+_KINDS = {"impact": binding.IMPACT, "zeno": binding.ZENO, "release": binding.RELEASE}
 
 
 def whole_program(compiled: CompiledGraph) -> GraphProgram | str:
