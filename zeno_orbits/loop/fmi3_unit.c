@@ -5,7 +5,7 @@
 
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { INSTANTIATED, INITIALIZATION, STEPS, TERMINATED };
-enum { PENDING = 64, ROOM = ZL_AT_ONCE(ZL_STOPS) + 2, ESTIMATES = 64 };
+enum { PENDING = 64, ROOM = ZL_AT_ONCE(ZL_STOPS, ZL_GUARDS) + 2, ESTIMATES = 64 };
 
 #define OFF_CIRCLE 1e-9 /* of a clock, as in model/numeric/admission.py */
 

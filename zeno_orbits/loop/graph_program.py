@@ -165,6 +165,11 @@ class GraphProgram(TapedProblem):
         return self.formulas.n_stops
 
     @property
+    def n_declared(self) -> int:
+        """Number of declared switches."""
+        return self.formulas.n_declared
+
+    @property
     def cause_keys(self) -> list[int]:
         """The cause of each declared switch: ``ZL_CAUSE``, or -1."""
         return [-1 if one is None else one[0] << 5 | one[1] for one in self.formulas.causes]

@@ -125,9 +125,9 @@ typedef struct {
     long long most_estimates;
 } zl_records;
 
-/* Events at one time at most: a switch, and an impact, a Zeno point and two releases of each stop, each
-   with a switch that it causes. */
-#define ZL_AT_ONCE(n_stops) (1 + 8 * (n_stops))
+/* Events at one time at most: a switch, and an impact, a Zeno point and two releases of each stop. A
+   declared switch that an event causes is one more. */
+#define ZL_AT_ONCE(n_stops, n_declared) (1 + 4 * (n_stops) + (n_declared))
 
 enum { ZL_STEP_WIDTH = 2, ZL_ARC_WIDTH = 14, ZL_EVENT_WIDTH = 6, ZL_ESTIMATE_WIDTH = 4 };
 /* Entries of a record before its states: after a step; at start and end of an arc; before and after

@@ -355,7 +355,7 @@ static Hop small_hop(const Machine *m) {
 static int has_room(const Machine *m) {
     const zl_records *records = m->records;
     const int records_all = (int)m->run->settings.records;
-    return records->n_events + ZL_AT_ONCE(m->graph->n_stops) < records->most_events &&
+    return records->n_events + ZL_AT_ONCE(m->graph->n_stops, m->graph->n_declared) < records->most_events &&
            (!records_all || (records->n_arcs + 2 < records->most_arcs &&
                              records->n_steps < records->most_steps &&
                              records->n_polynomials < records->most_polynomials));

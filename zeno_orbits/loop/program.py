@@ -100,6 +100,11 @@ class TapedProblem:
         return 1
 
     @property
+    def n_declared(self) -> int:
+        """Number of declared switches."""
+        return 0
+
+    @property
     def size(self) -> int:
         """Size of a run in bytes."""
         return self._size

@@ -189,7 +189,8 @@ class _Buffers:
 
 def _least_rows(program: TapedProblem, settings: Any) -> tuple[int, ...]:
     """Return the rows of records that one event needs. `has_room` in C has the same numbers."""
-    return (*((1, 1, 3) if settings[0].records else (0, 0, 0)), 2 + 4 * program.n_stops)
+    events = 2 + 4 * program.n_stops + program.n_declared
+    return (*((1, 1, 3) if settings[0].records else (0, 0, 0)), events)
 
 
 class LoopRun:
@@ -267,8 +268,8 @@ class LoopRun:
             steps: Rows of the record of steps.
             polynomials: Rows of the record of polynomials.
             arcs: Rows of the record of arcs, at least 3.
-            events: Rows of the record of events, at least 2, and 4 for each stop: one event may
-                strike and open every stop.
+            events: Rows of the record of events, at least 2, 4 for each stop and 1 for each
+                declared switch: one event may strike and open every stop.
 
         Returns:
             A status of `loop.h`. A request of memory for estimates is already handled.

@@ -28,7 +28,14 @@ from zeno_orbits.model.expressions.kinks import branched
 from zeno_orbits.model.hybrid import CompletedSystem, accelerate, completed
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.modes import GraphMode, ModeGraph, formulas_of, kinks_of
-from zeno_orbits.model.stops import Stop, Switch, require_event_names, watched
+from zeno_orbits.model.stops import (
+    Stop,
+    Switch,
+    event_of_setting,
+    require_event_names,
+    setting_name,
+    watched,
+)
 from zeno_orbits.work import checked
 
 
@@ -207,7 +214,8 @@ def _with_holds(
             raise ValueError(f"Argument `at` must be an event of the machine ({told}")
         after = _set_anew(one, at, one.drive.states)
         # Its guard never falls: the event of the stop is its cause.
-        found.append(Switch(name=f"hold at {at}", guard=ca.SX(1), armed=0.0, others_after=after))
+        one_setting = Switch(name=setting_name(at), guard=ca.SX(1), armed=0.0, others_after=after)
+        found.append(one_setting)
         causes.append(at)
     return tuple(found), tuple(causes)
 
@@ -271,6 +279,11 @@ def _require_guard(one: CompletedSystem, switch: Switch) -> None:
     Raises:
         ValueError: If it is not.
     """
+    if event_of_setting(switch.name):
+        raise ValueError(
+            f"Argument `name` of the switch `{switch.name}` must not begin with `hold at`, by "
+            "which switches of held states are named."
+        )
     if not ca.depends_on(ca.SX(switch.guard), one.state):
         raise ValueError(
             f"Argument `guard` of the switch `{switch.name}` must depend on the state, but it is "

@@ -76,6 +76,27 @@ class Switch(Checked):
         expand_calls(self)
 
 
+_SETTING = "hold at "
+
+
+def setting_name(event: str) -> str:
+    """Return the name of the switch that sets states at an event.
+
+    Args:
+        event: Name of the event, such as ``release stop``.
+    """
+    return _SETTING + event
+
+
+def event_of_setting(name: str) -> str:
+    """Return the event at which a switch sets states, or no text for another switch.
+
+    Args:
+        name: Name of the switch.
+    """
+    return name.removeprefix(_SETTING) if name.startswith(_SETTING) else ""
+
+
 def continuous_arming(formula: Any) -> ca.SX:
     """Return a continuous formula that is positive where a formula of comparisons is true.
 

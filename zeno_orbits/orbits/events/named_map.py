@@ -22,7 +22,13 @@ import numpy as np
 from zeno_orbits.arrays import Vector, eigenvalues, finite_vector
 from zeno_orbits.errors import InputError, did_you_mean, finite_number, named_numbers, not_known
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits.events.return_map import Surface, cause_at, on_surface, surface_of
+from zeno_orbits.orbits.events.return_map import (
+    Surface,
+    cause_at,
+    on_surface,
+    shift_at,
+    surface_of,
+)
 from zeno_orbits.orbits.events.section import (
     EventReturn,
     at_section,
@@ -35,7 +41,7 @@ from zeno_orbits.orbits.looser_run import relaxed_settings
 from zeno_orbits.orbits.orbit import Orbit
 from zeno_orbits.orbits.section import Section, coordinates_of, section_of
 from zeno_orbits.orbits.sequences import accumulating_events, orbit_event_name, sequence_of
-from zeno_orbits.simulation import SimulationSettings, SwitchEvent
+from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import Columns, TableRepr, checked, versions
 
 _MOVES, _RANK = 1e-9, 1e-9
@@ -462,8 +468,7 @@ class ReturnMap(TableRepr):
         n_x, chosen = len(self.problem.state_names), self._chosen
         found, surface, x = self._returned(point, values, settings, moving)
         cause = cause_at(found, found.period)
-        is_switch = isinstance(cause, SwitchEvent)
-        ends = found.shifts[found.events.index(cause)] if is_switch else found.landing
+        ends = shift_at(found, cause)
         lift = self._lift(surface, x, moving)
         start = np.concatenate([surface.reset_derivative(x, moving) @ lift, lift[n_x:]])
         by, time = ends.state @ start, ends.time @ start

@@ -38,6 +38,7 @@ from zeno_orbits.simulation import (
     Event,
     Impact,
     Release,
+    SaltationDerivative,
     SimulationSettings,
     SwitchEvent,
     ZenoPoint,
@@ -68,12 +69,14 @@ class Surface:
         mode: The mode before a switch, or after another event.
         rows: Index of each stop at the event, to the rows of its contact that vanish.
         switch: Index of the switch whose guard vanishes, or ``None``.
+        setter: Index of the switch that sets states at the event of a stop, or ``None``.
     """
 
     graph: GraphDynamics
     mode: GraphMode
     rows: Mapping[int, tuple[int, ...]]
     switch: int | None
+    setter: int | None = None
 
     @property
     def contacts(self) -> list[tuple[HybridDynamics, tuple[int, ...]]]:
@@ -125,9 +128,14 @@ class Surface:
 
     def reset(self, x: Vector) -> Vector:
         """Return the state from which the motion goes on, ``(n_x,)``."""
-        if self.switch is None or self.switch >= self.graph.n_declared:
-            return x
-        return self.graph.after_switch(self.switch, x)
+        place = self._resetting
+        return x if place is None else self.graph.after_switch(place, x)
+
+    @property
+    def _resetting(self) -> int | None:
+        """Index of the declared switch whose reset the motion passes at the event."""
+        is_kink = self.switch is not None and self.switch >= self.graph.n_declared
+        return self.setter if self.switch is None or is_kink else self.switch
 
     def reset_derivative(self, x: Vector, chosen: Sequence[int] = ()) -> Vector:
         """Return its derivative, ``(n_x, n_x + k)``.
@@ -136,9 +144,10 @@ class Surface:
             x: A state, ``(n_x,)``.
             chosen: Indices in ``p`` of the parameters, ``(k,)``.
         """
-        if self.switch is None or self.switch >= self.graph.n_declared:
+        place = self._resetting
+        if place is None:
             return np.eye(x.size, x.size + len(chosen))
-        return self.graph.reset_derivative(self.switch, x, chosen)
+        return self.graph.reset_derivative(place, x, chosen)
 
     def occurs(self, x: Vector) -> bool:
         """Return True if a motion in the mode of the set has the event at one of its states."""
@@ -328,10 +337,21 @@ def _slope(
     """Return the section of a periodic return, its chart, and the derivative in it, ``(d, d)``."""
     cause = cause_at(found, found.period)
     surface, section = _section_at(graph, found, cause, scale)
-    is_switch = isinstance(cause, SwitchEvent)
-    carried = found.shifts[found.events.index(cause)].state if is_switch else found.by_state
+    at_reset = isinstance(cause, SwitchEvent) or surface.setter is not None
+    carried = shift_at(found, cause).state if at_reset else found.by_state
     carried = carried[:, : len(scale)] @ surface.reset_derivative(section.centre)
     return surface, section, section.components(carried @ section.lift)
+
+
+def shift_at(found: EventReturn, event: Event) -> SaltationDerivative:
+    """Return the derivatives of an event, with the state on its section.
+
+    Args:
+        found: The return.
+        event: One of its events.
+    """
+    place = found.events.index(event)
+    return (found.shifts if isinstance(event, SwitchEvent) else found.after)[place]
 
 
 def _section_at(
@@ -407,4 +427,5 @@ def surface_of(graph: GraphDynamics, found: EventReturn, event: Event) -> Surfac
     if graph.holding(mode, struck).restitution == 0.0 and kind == "impact":
         rows[struck] = REST_ROWS
     rows.update((k, REST_ROWS) for k in closed)
-    return Surface(graph=graph, mode=mode, rows=rows, switch=None)
+    setter = graph.setter_at(orbit_event_name(event))
+    return Surface(graph=graph, mode=mode, rows=rows, switch=None, setter=setter)

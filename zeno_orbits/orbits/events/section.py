@@ -18,7 +18,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, UnsettledError
-from zeno_orbits.model import GraphDynamics, require_zeno_points
+from zeno_orbits.model import GraphDynamics, event_of_setting, require_zeno_points
 from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.section import (
@@ -99,6 +99,7 @@ class SectionMode:
         sides: Side of every kink.
         stop: Name of the stop that the event has just left, other than at contact force zero, or
             empty.
+        rested: Name of an open stop with gap and gap rate zero, at which states are set, or empty.
         released: Name of the stop that has just been released at contact force zero, or empty.
     """
 
@@ -106,6 +107,7 @@ class SectionMode:
     sides: tuple[bool, ...]
     stop: str
     released: str = ""
+    rested: str = ""
 
     @classmethod
     def of(cls, first: Arc, events: Sequence[Event]) -> SectionMode:
@@ -130,6 +132,12 @@ class SectionMode:
             events: Events up to the event at which the mode starts, in order.
         """
         kind, _, name = orbit_event_name(events[-1]).partition(" ")
+        setting = event_of_setting(name) if kind == "switch" else ""
+        if setting:
+            kind, _, name = setting.partition(" ")
+            rests = kind != "impact" and name not in closed
+            left = name if kind == "impact" and name not in closed else ""
+            return cls(closed=closed, sides=sides, stop=left, rested=name if rests else "")
         left = "" if name in closed else name
         is_caused = any(event.time == events[-1].time for event in events[:-1])
         # At a release that another event causes, the contact force is not zero.
@@ -234,12 +242,17 @@ class EventReturn:
         return self._derivatives[1]
 
     @property
+    def after(self) -> tuple[SaltationDerivative, ...]:
+        """Derivatives of every event, with the state after it. Columns: start, parameters."""
+        return self._derivatives[0]
+
+    @property
     def landing(self) -> SaltationDerivative:
         """Derivatives of the last event, with the state after it. Columns: start, parameters.
 
         They are those of starts in the section, which moves with the parameters.
         """
-        return self._derivatives[0]
+        return self.after[-1]
 
     @property
     def mode(self) -> SectionMode:
@@ -273,7 +286,7 @@ class EventReturn:
         A flight returns to the gap from which it starts, so a start off its stop would stay off it.
         """
         first, graph = self.execution.arcs[0], self.differentiation.graph
-        end, n_x = self._derivatives[0].state, len(self.start)
+        end, n_x = self.landing.state, len(self.start)
         if not first.stop_left:
             return end
         scale = largest_states(self.execution.arcs, graph)
@@ -287,11 +300,11 @@ class EventReturn:
         return np.concatenate([end[:, :n_x] @ onto, moved], axis=1)
 
     @cached_property
-    def _derivatives(self) -> tuple[SaltationDerivative, tuple[SaltationDerivative, ...]]:
-        """Derivatives of the end, and of every event with the state before it."""
+    def _derivatives(self) -> tuple[tuple[SaltationDerivative, ...], ...]:
+        """Derivatives of every event with the state after it, and with the state before it."""
         crossings = [one for passage in self.passages for one in passage.crossings]
         crossings = crossings[: len(self.events)]
-        return crossings[-1][2], tuple(before for _, before, _ in crossings)
+        return tuple(one[2] for one in crossings), tuple(one[1] for one in crossings)
 
 
 def event_return(
@@ -434,6 +447,8 @@ def on_section(graph: GraphDynamics, x: Vector, mode: SectionMode) -> Vector:
     if mode.released and not mode.stop:
         view = graph.view((closed, sides), graph.stop_names.index(mode.released))
         return project_to_section(view, RELEASE_ROWS, x, graph.own.states(x.size))
+    if mode.rested:
+        return graph.view((closed, sides), graph.stop_names.index(mode.rested)).on_stop(x)
     if mode.stop:
         stop, n_q = graph.stop_names.index(mode.stop), graph.n_q
         view = graph.view((closed, sides), stop)
@@ -719,6 +734,19 @@ def shortest_return(
     return found
 
 
+def after_setting(graph: GraphDynamics, section: str) -> str:
+    """Return the event at which states are set, if that is so at an event, or the event itself.
+
+    A motion goes on from the states that are set.
+
+    Args:
+        graph: The graph of modes.
+        section: Name of the event.
+    """
+    setter = graph.setter_at(section)
+    return section if setter is None else f"switch {graph.switch_names[setter]}"
+
+
 def at_section(
     graph: GraphDynamics, found: EventReturn, section: str, settings: SimulationSettings
 ) -> EventReturn:
@@ -733,6 +761,7 @@ def at_section(
     Raises:
         SimulationError: If the orbit has no such event, or does not return.
     """
+    section = after_setting(graph, section)
     names = [orbit_event_name(event) for event in found.events]
     if names[-1] == section:
         return found
@@ -811,10 +840,10 @@ def kept_section(
     rows = [
         differentials_of(graph.holding(at, k), chosen).contact(x)[list(REST_ROWS)] for k in at[0]
     ]
-    left = mode.stop or mode.released
+    left = mode.stop or mode.released or mode.rested
     if left:
         view = graph.view(at, graph.stop_names.index(left))
-        own = IMPACT_ROWS if mode.stop else RELEASE_ROWS
+        own = RELEASE_ROWS if mode.released else REST_ROWS if mode.rested else IMPACT_ROWS
         rows.append(differentials_of(view, chosen).contact(x)[list(own)])
     gradient = np.concatenate([differentials_of(graph.first, chosen).holonomic(x), *rows])
     section = section_of(gradient[:, :n_x] * scale, x, scale)
@@ -891,6 +920,8 @@ def near_return(
         raise InputError(
             f"Argument `section` must be an event of the motion ({known}), but it is `{section}`."
         )
+    if section is not None:
+        section = after_setting(graph, section)
     # The transient may have Zeno points that the orbit lacks.
     half = execution.end_time / 2
     late = {orbit_event_name(event) for event in execution.events if event.time > half}
