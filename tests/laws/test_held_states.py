@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.mechanisms import machine_of
+from zeno_orbits.integrators import RungeKutta
+from zeno_orbits.simulation import SimulationSettings, SimulationTask, by_reference, simulate
 
 W, G_FALL, E = 2.0, 12.0, 0.5
 """Speed after an impact of the juggled ball's orbit, acceleration of its fall, and restitution."""
@@ -152,6 +155,25 @@ def test_a_thrown_orbit_remembers_what_is_held() -> None:
         assert returns.multipliers[0] == pytest.approx(MEMORY, rel=1e-9)
     certificate = zo.verify(orbit, problem=problem)
     assert certificate.passed, certificate.verdict()
+    # A rate that the release would not keep.
+    changed = replace(orbit, start_state={**orbit.start_state, "rate": 1.001 * RATE})
+    refused = zo.verify(changed, problem=problem)
+    assert not refused.passed
+    assert refused.residuals["closure"] > 1e-4
+
+
+@pytest.mark.parametrize("problem", [juggler(), thrower()], ids=["juggler", "thrower"])
+def test_the_compiled_loop_and_its_reference_have_equal_events(problem: zo.Problem) -> None:
+    start = {"v": W, "push": 3.1} if "push" in problem.state_names else {"is_on": 1.0, "rate": 80.0}
+    machine, x = problem.graph_dynamics(problem.values()), np.array(problem.state_vector(start))
+    settings = SimulationSettings(engine=RungeKutta())
+    found = simulate(machine, x, until=6.0, settings=settings)
+    task = SimulationTask(dynamics=machine, state=x, until=6.0, settings=settings)
+    reference = by_reference(task)
+    assert len(found.events) == len(reference.events) > 10
+    for one, other in zip(found.events, reference.events, strict=True):
+        assert (one.kind, one.what, one.time) == (other.kind, other.what, other.time)
+        assert np.array_equal(one.after, other.after)
 
 
 @pytest.mark.parametrize(
@@ -182,10 +204,10 @@ def test_wrong_held_states_are_refused() -> None:
     )
     with pytest.raises(ValueError, match="one is a velocity"):
         zo.hybrid_system(mass, zo.Hold(states=v, at="zeno floor", after=x))
-    with pytest.raises(ValueError, match="must be symbols"):
+    with pytest.raises(ValueError, match="must hold symbols"):
         zo.Hold(states=2 * u, at="zeno floor", after=x)
     with pytest.raises(ValueError, match="must have 1 entries"):
         zo.Hold(states=u, at="zeno floor", after=ca.vertcat(x, v))
+    switch = zo.Switch(name="hold at zeno floor", guard=x - 1)
     with pytest.raises(ValueError, match="must not begin with `hold at`"):
-        switch = zo.Switch(name="hold at zeno floor", guard=x - 1)
         zo.hybrid_system(mass, zo.no_drive(mass), switches=(switch,))

@@ -42,11 +42,18 @@ class Accumulation:
         dynamics: The system of their stop, in which closed stops are constraints.
         impacts: The resolved impacts.
         contact: The first arc of the contact phase, which takes time.
+        sets: Whether states are set at the Zeno point.
     """
 
     dynamics: HybridDynamics
     impacts: tuple[Impact, ...]
     contact: Arc
+    sets: bool
+
+    @property
+    def middle(self) -> float:
+        """Time of the middle of the contact phase [s]."""
+        return (self.contact.start_time + self.contact.end_time) / 2
 
     def last_common_impact(self, delta: float) -> Impact:
         """Return the last impact up to which a motion truncated below a speed is equal."""
@@ -72,7 +79,8 @@ def accumulations_of(
         held = next((arc for arc in arcs if arc.start_time >= zeno.time and arc.duration), None)
         if held is not None and graph.stop_names.index(zeno.stop) in held.mode_in(graph)[0]:
             view = struck_view(graph, period, impacts[0])
-            yield Accumulation(dynamics=view, impacts=impacts, contact=held)
+            sets = graph.setter_at(orbit_event_name(zeno)) is not None
+            yield Accumulation(dynamics=view, impacts=impacts, contact=held, sets=sets)
 
 
 def delta_sweep(
@@ -87,6 +95,9 @@ def delta_sweep(
 
     Each truncated motion is compared with the completed motion in the contact phase. It is
     integrated from the last impact that both motions have.
+
+    A truncation shifts the time of the Zeno point, in first order in the last speed. If states are
+    set there, each motion is extrapolated to the speed zero with the truncation before it.
 
     Args:
         machine: The machine.
@@ -115,36 +126,47 @@ def _sweep_of(
     enough: float,
 ) -> tuple[DeltaCut, ...]:
     fastest = abs(one.impacts[0].approach_rate)
-    found = [_cut(machine, one, scale, share * fastest, simulation) for share in cuts]
-    while (
-        len(found) > 1
-        and enough < found[-1].error < found[-2].error / _FALL
-        and found[-1].delta > 10.0 * _FINEST_CUT * fastest
-    ):
-        found.append(_cut(machine, one, scale, found[-1].delta / 10.0, simulation))
+    found: list[DeltaCut] = []
+    ends: list[tuple[float, Vector]] = []
+    deltas = [share * fastest for share in cuts]
+    while deltas:
+        delta = deltas.pop(0)
+        speed, end = _cut(machine, one, delta, simulation)
+        ends.append((speed, end))
+        if one.sets and len(ends) > 1:
+            end = _extrapolated(*ends[-2:])
+        away = distance(end, one.contact.state_at(one.middle), scale)
+        error = away if math.isfinite(away) else math.inf
+        found.append(DeltaCut(delta=delta, speed=speed, error=error))
+        falls = len(found) > 1 and enough < error < found[-2].error / _FALL
+        if not deltas and falls and delta > 10.0 * _FINEST_CUT * fastest:
+            deltas = [delta / 10.0]
     return tuple(found)
+
+
+def _extrapolated(coarse: tuple[float, Vector], fine: tuple[float, Vector]) -> Vector:
+    """Return the state at the last speed zero, by a line through two truncations."""
+    (fast, far), (slow, near) = coarse, fine
+    return near if not slow < fast else near + (near - far) * slow / (fast - slow)
 
 
 def _cut(
     machine: GraphDynamics,
     one: Accumulation,
-    scale: Vector,
     delta: float,
     simulation: SimulationSettings,
-) -> DeltaCut:
-    """Return the error in the middle of the contact phase of a motion truncated below a speed."""
-    when = (one.contact.start_time + one.contact.end_time) / 2
+) -> tuple[float, Vector]:
+    """Return the last speed of a motion truncated below a speed, and its state in the contact."""
     before = one.last_common_impact(delta)
     start = one.dynamics.on_stop(before.state_minus)
     start = start + before.approach_rate * one.dynamics.impulse_direction(start)
     rule = replace(simulation, completion=Truncation(delta=delta))
     try:
-        run = simulate(machine, start, until=when - before.time, settings=rule)
+        run = simulate(machine, start, until=one.middle - before.time, settings=rule)
     except ZenoOrbitsError:
-        return DeltaCut(delta=delta, speed=math.nan, error=math.inf)
+        return math.nan, np.full(start.size, math.nan)
     last = run.impacts[-1] if run.impacts else before
-    error = distance(run.end_state, one.contact.state_at(when), scale)
-    return DeltaCut(delta=delta, speed=abs(last.approach_rate), error=error)
+    return abs(last.approach_rate), run.end_state
 
 
 def cut_order(sweep: tuple[DeltaCut, ...], noise: float) -> float:
