@@ -16,6 +16,7 @@ from .api import equilibrium_acceleration as equilibrium_acceleration
 from .api import find_orbit as find_orbit
 from .api import floquet_multipliers as floquet_multipliers
 from .api import design_feedback as design_feedback
+from .api import hold_inputs as hold_inputs
 from .api import return_map as return_map
 from .api import identify as identify
 from .api import largest_push as largest_push
@@ -273,6 +274,7 @@ __all__ = [
     "floquet_multipliers",
     "full_drive",
     "harmonics",
+    "hold_inputs",
     "hybrid_system",
     "ideal_torque_drive",
     "identify",

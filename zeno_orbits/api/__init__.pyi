@@ -14,6 +14,8 @@ from .executions import simulate as simulate
 from .executions import simulate_to_accuracy as simulate_to_accuracy
 from .executions import simulate_with_error as simulate_with_error
 from .executions import unfinished as unfinished
+from .feedbacks import design_feedback as design_feedback
+from .feedbacks import hold_inputs as hold_inputs
 from .inputs import any_orbit as any_orbit
 from .inputs import as_orbit as as_orbit
 from .inputs import known_problem as known_problem
@@ -60,7 +62,6 @@ from .orbit_search import start_values as start_values
 from .pages import report_page as report_page
 from .pages import report_subject as report_subject
 from .pictures import plot as plot
-from .pushes import design_feedback as design_feedback
 from .pushes import largest_push as largest_push
 from .pushes import push_settings as push_settings
 from .pushes import recovery as recovery

@@ -1,4 +1,4 @@
-"""Disturbances of an orbit: the largest impulses, recovery, scatter, feedback once per period."""
+"""Disturbances of an orbit: the largest impulses, recovery, scatter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from zeno_orbits.work import ExecutionPlan, Progress, silent
 
 if TYPE_CHECKING:
     from zeno_orbits.maps import (
-        Feedback,
         Pushes,
         PushSettings,
         Recovery,
@@ -102,50 +101,6 @@ def recovery(
     orbit = any_orbit(orbit)
     return maps.recovery_of(
         problem_of(orbit, problem), orbit, settings=settings, on_progress=on_progress
-    )
-
-
-@front_door
-def design_feedback(
-    orbit: Orbit | str | Path,
-    inputs: Sequence[str] | Mapping[str, tuple[float, float] | None],
-    *,
-    problem: Named | None = None,
-    section: str | None = None,
-    method: str = "lqr",
-    weight: float = 1e-3,
-    multipliers: Sequence[float | complex] | None = None,
-    delay: bool = False,
-) -> Feedback:
-    """Return inputs once per period that keep an orbit, also one that repels.
-
-    Args:
-        orbit: The orbit, or its file.
-        inputs: Gains and parameters that are held from return to return, with their ranges. The
-            default range is the declared one.
-        problem: The orbit's problem. The default is the bundled problem of its name.
-        section: Event at which the inputs are set. The default is the one at which the orbit
-            starts.
-        method: ``lqr`` minimizes the sum of squares of inputs and states, ``place`` gives the loop
-            `multipliers`, and ``deadbeat`` gives it multipliers zero.
-        weight: Cost of a state of its largest value per cost of an input of its own value, of
-            ``lqr``.
-        multipliers: Multipliers of the loop, of ``place``.
-        delay: Apply the inputs one return after their measurement.
-
-    Raises:
-        InputError: If an argument is invalid, an input moves the section, or the inputs do not
-            change a multiplier that has to change.
-        SimulationError: If the simulation does not return to the orbit.
-    """
-    from zeno_orbits.maps import feedback_of
-    from zeno_orbits.orbits import return_map_of
-
-    orbit = any_orbit(orbit)
-    known = problem_of(orbit, problem)
-    returns = return_map_of(known, orbit, section=section)
-    return feedback_of(
-        returns, inputs, method=method, weight=weight, multipliers=multipliers, delay=delay
     )
 
 

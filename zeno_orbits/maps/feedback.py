@@ -19,14 +19,25 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues, finite_vector
 from zeno_orbits.errors import InputError, SimulationError, did_you_mean, number_range, shown
+from zeno_orbits.model import HeldLaw, Problem, held_file, load_problem, with_held_inputs
 from zeno_orbits.orbits import ReturnMap
-from zeno_orbits.work import ByValue, Columns, Progress, TableRepr, checked, silent, versions
+from zeno_orbits.work import (
+    ByValue,
+    Columns,
+    Progress,
+    TableRepr,
+    checked,
+    silent,
+    versions,
+    write_whole,
+)
 
 Inputs = Sequence[str] | Mapping[str, tuple[float, float] | None]
 """Gains and parameters that are held, with or without their ranges."""
@@ -116,6 +127,65 @@ class Feedback(TableRepr):
     def stable(self) -> bool:
         """True if all multipliers of the loop are inside the unit circle."""
         return _radius(self.multipliers) < 1.0
+
+    @property
+    def law(self) -> HeldLaw:
+        """The law of the inputs as a machine has it."""
+        known = self.returns
+        return HeldLaw(
+            inputs=dict(zip(self.inputs, self.limits, strict=True)),
+            at=known.event,
+            gain={
+                name: dict(zip(self.measured, row, strict=True))
+                for name, row in zip(self.inputs, self.gain.tolist(), strict=True)
+            },
+            centre=dict(zip(known.coordinates, known.fixed_point.tolist(), strict=True)),
+            delay=self.delay,
+        )
+
+    def machine(self, file: str | Path | None = None) -> Problem:
+        """Return the machine with its feedback: a problem whose inputs are held states.
+
+        Its first start is the orbit, and its defaults are the values of the orbit. The coefficients
+        and the centres of the law are parameters.
+
+        Args:
+            file: A problem file to write, from which the problem is loaded. Results name it, and
+                workers load it. By default the problem has no file.
+
+        Raises:
+            InputError: If the event occurs more than once in a period, an input may not depend on
+                time, the file cannot be written, or the problem itself has no file.
+        """
+        known = self.returns
+        if known.n_events != 1:
+            raise InputError(
+                f"Argument `section`: `{known.event}` occurs {known.n_events} times in a period, "
+                "and the law is that of one of them. Take the section of another event."
+            )
+        values, start = known.values.numbers, known.start
+        try:
+            made = with_held_inputs(known.problem, self.law, values=values, start=start)
+            made.checked()
+        except ValueError as error:
+            names = ", ".join(f"`{name}`" for name in self.inputs)
+            raise InputError(f"Argument `inputs`: {names} cannot be held states: {error}") from error
+        if file is None:
+            return made
+        path, word = Path(file), known.problem.file
+        if path.suffix != ".py":
+            raise InputError(f"Argument `file` must name a Python file, such as {path.stem}.py.")
+        if word is None:
+            raise InputError(
+                f"Argument `file`: `{known.problem.name}` has no file of its own to refer to."
+            )
+        changed = {
+            one.name: values[one.name]
+            for one in known.problem.quantities
+            if one.default is not None and values[one.name] != one.default
+        }
+        write_whole(path, held_file(word.word, path.absolute().parent, self.law, changed, start), "file")
+        return load_problem(path)
 
     def inputs_at(self, x: Any, in_use: Any = None) -> Vector:
         """Return the inputs that follow a measurement, clipped to their ranges, ``(m,)``.

@@ -17,6 +17,9 @@ from .drives.drives import quasi_static_drive as quasi_static_drive
 from .formulas import acceleration_formula as acceleration_formula
 from .formulas import six_digits as six_digits
 from .formulas import with_numbers as with_numbers
+from .held_inputs import HeldLaw as HeldLaw
+from .held_inputs import held_file as held_file
+from .held_inputs import with_held_inputs as with_held_inputs
 from .hybrid import CompletedSystem as CompletedSystem
 from .hybrid import accelerate as accelerate
 from .graph import hybrid_system as hybrid_system

@@ -153,6 +153,18 @@ class ReturnMap(TableRepr):
         """Largest value of each coordinate over the period, or its own scale, ``(d,)``."""
         return largest_states(self._return.execution.arcs, self._surface.graph)[self._chosen]
 
+    @property
+    def n_events(self) -> int:
+        """Number of events of the section in a period of the orbit."""
+        names = [orbit_event_name(event) for event in self._return.events]
+        return names.count(self.event)
+
+    @property
+    def start(self) -> dict[str, float]:
+        """State of the orbit just after the event of the section, by name."""
+        after = self._surface.reset(self._centre)
+        return dict(zip(self.problem.state_names, after.tolist(), strict=True))
+
     @checked
     def moves_section(self, name: str) -> bool:
         """Return True if a gain or parameter moves the section at the orbit.
