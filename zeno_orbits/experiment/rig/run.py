@@ -78,11 +78,27 @@ def rate_weight(contact: Contact, own: CharacteristicScales, inertia: float) -> 
     Returns:
         The ratio, rounded to a power of ten, so that stops of similar stiffness share formulas.
     """
-    depth = _depth(contact, own) * own.gap
-    stiffness = contact.exponent * contact.stiffness * depth ** (contact.exponent - 1)
-    frequency = math.sqrt(stiffness / inertia) * own.time
+    frequency = _frequency(contact, own, inertia) * own.time
     rate = max(1.0, frequency * _FINEST / _RELATIVE)
     return 10.0 ** math.floor(math.log10(rate / _finer(contact, own)))
+
+
+def bounce_time(contact: Contact, own: CharacteristicScales, inertia: float) -> float:
+    """Return the duration of an undamped bounce on a stop, half a period of its vibration [s].
+
+    Args:
+        contact: The stop.
+        own: Characteristic scales of the problem.
+        inertia: Normal inertia.
+    """
+    return math.pi / _frequency(contact, own, inertia)
+
+
+def _frequency(contact: Contact, own: CharacteristicScales, inertia: float) -> float:
+    """Return the angular frequency with which a link vibrates on its stop [1/s]."""
+    depth = _depth(contact, own) * own.gap
+    stiffness = contact.exponent * contact.stiffness * depth ** (contact.exponent - 1)
+    return math.sqrt(stiffness / inertia)
 
 
 def _finer(contact: Contact, own: CharacteristicScales) -> float:

@@ -16,7 +16,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NoReturn, cast
 
+import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError, counted
@@ -29,6 +31,7 @@ from zeno_orbits.experiment.rig.run import (
     RigRun,
     RigSettings,
     Touch,
+    bounce_time,
     contacts_at,
     electric_outputs,
     rate_weight,
@@ -48,6 +51,7 @@ from zeno_orbits.model import (
     Columns,
     CompiledFlow,
     FlowMemory,
+    GraphDynamics,
     ModeFunctions,
     ParameterValues,
     Problem,
@@ -68,6 +72,8 @@ _IN_CONTACT = 257
 """Records of a contact at least, where nothing else divides it."""
 _GROW, _SHORTEST = 4.0, 1e-3
 """Next window over the previous segment, and the shortest window over the problem's time."""
+_PERSISTS = 4.0
+"""Duration of a contact that is no bounce, in undamped bounces."""
 _INSIDE = 1e-9
 """Penetration over the scale of the gap from which a reset has sent the state into a stop."""
 
@@ -110,6 +116,14 @@ def run_rig(
     return follower.result()
 
 
+def _held_entries(graph: GraphDynamics) -> NDArray[np.bool_]:
+    """Return for every state whether it is held between events, ``(n_x,)``."""
+    symbols = graph.compiled.graph
+    held = ca.vertcat(ca.SX(0, 1), *(one.states for one in symbols.drive.holds))
+    states = ca.vertsplit(symbols.state)
+    return np.array([bool(held.numel() and ca.depends_on(one, held)) for one in states])
+
+
 class _Follower:
     """Integrator of a machine, which records its motion."""
 
@@ -150,6 +164,9 @@ class _Follower:
         self._window = _SHORTEST * self._own_time
         self._crossed: tuple[float, int] | None = None
         self._fallen: tuple[float, int] | None = None
+        self._is_held = _held_entries(self._graph)
+        self._persists: dict[int, float] = {}
+        self._rested: set[int] = set()
 
     def _control_loop(self, random: np.random.Generator) -> ControlLoop:
         command = Call(self._machine.command, self._p)
@@ -218,8 +235,13 @@ class _Follower:
                 n_p = self._p.size
                 self._numbers[n_p : n_p + self._machine.n_motors] = self._loop.held
                 edge = min(until, self._loop.next_edge)
+            edge = min([edge, *self._persists.values()])
             before = self._time
             self._leg(edge)
+            for stop in [k for k, end in self._persists.items() if end <= self._time]:
+                del self._persists[stop]
+                self._rested.add(stop)
+                self._set_anew("zeno", stop)
             at_once = at_once + 1 if self._time == before else 0
             if at_once > _MOST_AT_ONCE:
                 self._stop(SimulationError, "Contacts begin and end without time advancing")
@@ -268,6 +290,8 @@ class _Follower:
         values, levels, _ = self._graph.guards(x, self._mode.sides)
         sides = (*self._mode.above, *self._mode.sides)
         for s, (value, level, side) in enumerate(zip(values, levels, sides, strict=True)):
+            if s < self._graph.n_declared and self._graph.causes[s]:
+                continue
             on_guard = bool((value if side else -value) <= level)
             yield RigGuard(gaps.size + s, on_guard=on_guard, rounding=float(level), above=side)
 
@@ -337,14 +361,45 @@ class _Follower:
     def _turn(self, stop: int) -> None:
         """Begin a contact, or end it."""
         self._mode = self._mode.turned(stop)
-        _, rates = self._gaps()
+        _, _, rates, inertias = self._observed()
         if stop in self._mode.touched:
             rate = float(rates[stop])
             self._began[stop] = (self._time, self._y, rate)
             factor = self._damping_number(stop, -rate) / max(-rate, self._rig.contact.slowest)
             self._numbers[self._numbers.size - rates.size + stop] = factor
+            if any(self._graph.causes):
+                bounce = bounce_time(self._rig.contact, self._owns[stop], float(inertias[stop]))
+                self._persists[stop] = self._time + _PERSISTS * bounce
         else:
             self._leave(stop, float(rates[stop]))
+            self._persists.pop(stop, None)
+            rested = stop in self._rested
+            self._rested.discard(stop)
+            self._set_anew("release" if rested else "impact", stop)
+
+    def _set_anew(self, kind: str, stop: int) -> None:
+        """Set states at an event of a stop, from what the controller last measured.
+
+        A contact that lasts for several bounces is permanent, and its end is a release. The end of
+        a shorter one is the end of an impact.
+
+        Args:
+            kind: Kind of the event.
+            stop: Index of the stop.
+        """
+        graph, n_x = self._graph, self._machine.n_x
+        switch = graph.setter_at(f"{kind} {self._machine.stop_names[stop]}")
+        if switch is None:
+            return
+        x = self._y[:n_x]
+        measured = self._loop.log[-1][1] if self._loop is not None and self._loop.log else x
+        # A controller knows the values that it holds.
+        known = np.where(self._is_held, x, measured)
+        after = self._y.copy()
+        after[:n_x] = np.where(self._is_held, graph.after_switch(switch, known), x)
+        self._y = after
+        above, sides = self._signs_at(self._mode.sides)
+        self._mode = replace(self._mode, above=above, sides=sides)
 
     def _damping_number(self, stop: int, speed: float) -> float:
         """Return the damping number of a contact that begins at a speed."""
