@@ -14,9 +14,9 @@ from dataclasses import replace
 import casadi as ca
 
 from zeno_orbits import (
-    Auxiliary,
     Clock,
     CompletedSystem,
+    Hold,
     Quantity,
     Switch,
     full_drive,
@@ -39,9 +39,8 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         name="sample",
         guard=-clock.sine,
         armed=clock.cosine,
-        others_after=ca.vertcat(motor.states, motors.voltage),
     )
-    hold = Auxiliary(states=held, rate=ca.SX(0))
+    hold = Hold(states=held, at="switch sample", after=motors.voltage)
     return hybrid_system(links, (motor, hold), p["restitution"], switches=(sample,))
 
 

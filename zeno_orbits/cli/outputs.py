@@ -51,6 +51,7 @@ class FileKind:
 
 JSON = FileKind("a JSON file", (".json",))
 SAMPLES = FileKind("a table of samples", (".csv", ".tsv", ".txt", ".dat"))
+PYTHON = FileKind("a Python file", (".py",), only=True)
 PAGE = FileKind("a web page", (".html", ".htm"), only=True)
 PICTURE = FileKind("a picture", PICTURES, only=True)
 FOLDER = FileKind("a folder", ())

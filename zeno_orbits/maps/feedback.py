@@ -169,7 +169,9 @@ class Feedback(TableRepr):
             made.checked()
         except ValueError as error:
             names = ", ".join(f"`{name}`" for name in self.inputs)
-            raise InputError(f"Argument `inputs`: {names} cannot be held states: {error}") from error
+            raise InputError(
+                f"Argument `inputs`: {names} cannot be held states: {error}"
+            ) from error
         if file is None:
             return made
         path, word = Path(file), known.problem.file
@@ -184,7 +186,9 @@ class Feedback(TableRepr):
             for one in known.problem.quantities
             if one.default is not None and values[one.name] != one.default
         }
-        write_whole(path, held_file(word.word, path.absolute().parent, self.law, changed, start), "file")
+        write_whole(
+            path, held_file(word.word, path.absolute().parent, self.law, changed, start), "file"
+        )
         return load_problem(path)
 
     def inputs_at(self, x: Any, in_use: Any = None) -> Vector:

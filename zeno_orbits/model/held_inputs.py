@@ -242,8 +242,7 @@ def _held(base: CompletedSystem, at: str, states: ca.SX, after: ca.SX) -> Comple
         part = Auxiliary(states=states, rate=ca.SX.zeros(states.numel()))
         own = base.drive.states
         switches = [
-            _with_reset(one, own, states, after if one.name == name else states)
-            for one in switches
+            _with_reset(one, own, states, after if one.name == name else states) for one in switches
         ]
     elif switches:
         switches = [_with_reset(one, base.drive.states, states, states) for one in switches]

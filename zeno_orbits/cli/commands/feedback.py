@@ -7,8 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.options import NO, YES, add_command, add_orbit, add_shared, hand_out
-from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
+from zeno_orbits.cli.options import (
+    NO,
+    YES,
+    add_command,
+    add_orbit,
+    add_shared,
+    hand_out,
+    say_written,
+)
+from zeno_orbits.cli.outputs import JSON, PICTURE, PYTHON, require_outputs
 from zeno_orbits.cli.parsing import read_input, read_multipliers, read_number
 from zeno_orbits.report import terminal as report
 
@@ -24,6 +32,7 @@ def add_feedback(commands: Any) -> None:
             "zeno-orbits feedback orbit.json --input Kd=-1.9:-1.3",
             "zeno-orbits feedback orbit.json --input Kp --input Kd --method deadbeat",
             "zeno-orbits feedback orbit.json --input Kd --extent -o feedback.json",
+            "zeno-orbits feedback orbit.json --input Kd --machine held.py",
         ],
     )
     add_orbit(parser)
@@ -70,12 +79,19 @@ def add_feedback(commands: Any) -> None:
         action="store_true",
         help="also find the disturbances of each coordinate from which the motion returns",
     )
+    parser.add_argument(
+        "--machine",
+        type=Path,
+        metavar="FILE.py",
+        help="write the machine with its feedback here, as a problem file for other commands",
+    )
     parser.add_argument("-o", "--output", type=Path, help="write the result here, as JSON")
     parser.set_defaults(picture=None)
 
 
 def _run_feedback(options: argparse.Namespace) -> int:
-    require_outputs(options, {"output": JSON, "picture": PICTURE}, reads=[options.orbit])
+    outputs = {"output": JSON, "picture": PICTURE, "machine": PYTHON}
+    require_outputs(options, outputs, reads=[options.orbit])
     with report.ProgressLine(options.interrupts.check) as progress:
         found = api.design_feedback(
             options.orbit,
@@ -92,7 +108,10 @@ def _run_feedback(options: argparse.Namespace) -> int:
             for name in found.returns.coordinates
             if options.extent
         }
+    if options.machine is not None:
+        found.machine(options.machine)
     hand_out(options, _Data(found, extents), lambda _: report.print_feedback(found, extents))
+    say_written(options, [] if options.machine is None else [options.machine])
     return YES if found.stable else NO
 
 
