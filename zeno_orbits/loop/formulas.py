@@ -149,6 +149,32 @@ def _body(tape: Tape) -> _Body:
     return _Body(tuple(lines), tuple(names[place] for place in outputs))
 
 
+def straight_line(name: str, tape: Tape) -> str:
+    """Return a formula as a function of states alone, whose parameters are the array `p`.
+
+    Args:
+        name: Name of the function.
+        tape: The formula.
+    """
+    first = tape.n_varying + tape.n_parameters
+    names = [f"x[{k}]" for k in range(tape.n_varying)]
+    names += [f"p[{k}]" for k in range(tape.n_parameters)]
+    names += [f"({value!r})" for value in tape.constants.tolist()]
+    names += [""] * (tape.n_registers - first - tape.constants.size)
+    lines: list[str] = []
+    rows: list[list[int]] = tape.code.tolist()
+    for k, (operation, to, *places) in enumerate(rows):
+        used = dict(zip("xyw", (names[place] for place in places), strict=True))
+        formula = _WORD.sub(partial(_replaced, used), _formulas()[operation])
+        names[to] = f"t{k}"
+        lines.append(f"    const double t{k} = {formula};\n")
+    outputs: list[int] = tape.outputs.tolist()
+    ends = "".join(f"    z[{i}] = {names[place]};\n" for i, place in enumerate(outputs))
+    body = f"{''.join(lines)}    (void)x, (void)z;\n{ends}"
+    text = f"static void {name}(const double *x, double *z) {{\n{body}}}\n\n"
+    return text.replace("(inf)", "INFINITY").replace("(-inf)", "(-INFINITY)")
+
+
 def _replaced(names: Mapping[str, str], word: re.Match[str]) -> str:
     return names[word[0]]
 

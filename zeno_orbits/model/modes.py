@@ -59,6 +59,12 @@ class ModeGraph:
     )
 
     @property
+    def held(self) -> tuple[int, ...]:
+        """Indices of the states of the drive that are constant between events."""
+        first, rates = 2 * self.mechanism.q.numel(), ca.vertsplit(ca.SX(self.drive.rates))
+        return tuple(first + k for k, rate in enumerate(rates) if ca.SX(rate).is_zero())
+
+    @property
     def has_current_layers(self) -> bool:
         """True if a corrected drive adds the current layer to every impact."""
         return self.drive.added_inertia.nnz() > 0

@@ -40,6 +40,7 @@ def add_export(commands: Any) -> None:
             "zeno-orbits export motor_pendulum -o exported",
             "zeno-orbits export bouncing_ball --set restitution=0.7 --until 5 -o exported",
             "zeno-orbits export motor_pendulum --fmu -o exported",
+            "zeno-orbits export sampled_pendulum --controller -o exported",
         ],
     )
     add_problem(parser)
@@ -50,6 +51,17 @@ def add_export(commands: Any) -> None:
         "--fmu",
         action="store_true",
         help="write a co-simulation unit of FMI 3.0 instead, its library for this machine",
+    )
+    parser.add_argument(
+        "--controller",
+        action="store_true",
+        help="write the controller alone instead: law, held states and events, from readings",
+    )
+    parser.add_argument(
+        "--persists",
+        type=read_number,
+        metavar="SECONDS",
+        help="with --controller: duration from which a contact is no bounce (default: 0.01)",
     )
     parser.add_argument(
         "--input",
@@ -76,8 +88,14 @@ def _run_export(options: argparse.Namespace) -> int:
     require_outputs(options, {"output": FOLDER})
     if options.input and not options.fmu:
         raise InputError("Argument `--input` belongs to `--fmu`, which is missing.")
+    if options.fmu and options.controller:
+        raise InputError("Argument `--controller` must be left out with `--fmu`.")
+    if options.persists is not None and not options.controller:
+        raise InputError("Argument `--persists` belongs to `--controller`, which is missing.")
     problem = load_problem(options.problem)
     values = values_of(problem, options)
+    if options.controller:
+        return _write_controller(problem, values, options)
     if not options.until > 0.0:
         message = f"must be a finite, positive number of seconds, but it is {options.until}"
         raise InputError(f"Argument `until` {message}.")
@@ -93,6 +111,32 @@ def _run_export(options: argparse.Namespace) -> int:
         print_json({"written": [str(path) for path in paths], "warning": warning or None})
     elif warning:
         report.print_lines([f"Warning: {warning}."])
+    say_written(options, paths)
+    return YES
+
+
+def _write_controller(
+    problem: Problem, values: ParameterValues, options: argparse.Namespace
+) -> int:
+    """Write the C code of the controller of a machine.
+
+    Raises:
+        InputError: If the machine has no held states, or the duration is not positive.
+    """
+    import numpy as np
+
+    from zeno_orbits.loop import controller_files, controller_of
+    from zeno_orbits.work import write_all
+
+    persists = 0.01 if options.persists is None else options.persists
+    if not 0.0 < persists < math.inf:
+        raise InputError(f"Argument `--persists` must be positive, but it is {persists:g}.")
+    state = np.array(start_of(problem, options))
+    files = controller_files(controller_of(problem, values, state, persists=persists))
+    write_all(options.output, {name: text.encode() for name, text in files.items()})
+    paths = [options.output / name for name in files]
+    if options.json:
+        print_json({"written": [str(path) for path in paths], "warning": None})
     say_written(options, paths)
     return YES
 

@@ -16,9 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NoReturn, cast
 
-import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError, counted
@@ -51,7 +49,6 @@ from zeno_orbits.model import (
     Columns,
     CompiledFlow,
     FlowMemory,
-    GraphDynamics,
     ModeFunctions,
     ParameterValues,
     Problem,
@@ -116,14 +113,6 @@ def run_rig(
     return follower.result()
 
 
-def _held_entries(graph: GraphDynamics) -> NDArray[np.bool_]:
-    """Return for every state whether it is held between events, ``(n_x,)``."""
-    symbols = graph.compiled.graph
-    held = ca.vertcat(ca.SX(0, 1), *(one.states for one in symbols.drive.holds))
-    states = ca.vertsplit(symbols.state)
-    return np.array([bool(held.numel() and ca.depends_on(one, held)) for one in states])
-
-
 class _Follower:
     """Integrator of a machine, which records its motion."""
 
@@ -164,7 +153,7 @@ class _Follower:
         self._window = _SHORTEST * self._own_time
         self._crossed: tuple[float, int] | None = None
         self._fallen: tuple[float, int] | None = None
-        self._is_held = _held_entries(self._graph)
+        self._is_held = np.isin(np.arange(built.n_x), self._graph.compiled.graph.held)
         self._persists: dict[int, float] = {}
         self._rested: set[int] = set()
 
@@ -391,15 +380,18 @@ class _Follower:
         switch = graph.setter_at(f"{kind} {self._machine.stop_names[stop]}")
         if switch is None:
             return
-        x = self._y[:n_x]
-        measured = self._loop.log[-1][1] if self._loop is not None and self._loop.log else x
-        # A controller knows the values that it holds.
-        known = np.where(self._is_held, x, measured)
         after = self._y.copy()
-        after[:n_x] = np.where(self._is_held, graph.after_switch(switch, known), x)
+        after[:n_x] = np.where(self._is_held, self._measured_after(switch), after[:n_x])
         self._y = after
         above, sides = self._signs_at(self._mode.sides)
         self._mode = replace(self._mode, above=above, sides=sides)
+
+    def _measured_after(self, switch: int) -> Vector:
+        """Return the state after a reset of the state that the controller last measured."""
+        x = self._y[: self._machine.n_x]
+        measured = self._loop.log[-1][1] if self._loop is not None and self._loop.log else x
+        # A controller knows the values that it holds.
+        return self._graph.after_switch(switch, np.where(self._is_held, x, measured))
 
     def _damping_number(self, stop: int, speed: float) -> float:
         """Return the damping number of a contact that begins at a speed."""
@@ -458,7 +450,8 @@ class _Follower:
         """Apply the reset of a declared switch."""
         graph, n_x = self._graph, self._machine.n_x
         after = self._y.copy()
-        after[:n_x] = graph.after_switch(switch, self._y[:n_x])
+        true = graph.after_switch(switch, self._y[:n_x])
+        after[:n_x] = np.where(self._is_held, self._measured_after(switch), true)
         self._y = after
         above, sides = self._signs_at(self._mode.sides)
         self._mode = replace(self._mode, above=above, sides=sides)

@@ -1,0 +1,131 @@
+"""The exported controller beside the machine that it controls."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.loop.agreement import needs_compiler
+from tests.support.commands import MISUSE, YES, ask
+from zeno_orbits.arrays import Vector
+from zeno_orbits.loop import controller_files, controller_of, find_compiler
+from zeno_orbits.model import Problem
+
+KD, PERSISTS = -1.579094074075361, 0.01
+START = {"theta1": 0.361422331844671, "dtheta1": -5.874916190354418, "current": -3.333635846498841}
+PENDULUM = zo.hold_inputs(
+    "motor_pendulum",
+    inputs={"Kd": (-1.83, -1.33)},
+    at="release stop",
+    gain={"Kd": {"dtheta1": 0.636452854509964, "current": 0.10678544280444771}},
+    centre={"dtheta1": START["dtheta1"], "current": START["current"]},
+    values={"Kp": 2.5, "Kd": KD},
+    start={**START, "dtheta1": 1.0005 * START["dtheta1"]},
+)
+
+
+class Controller:
+    """The compiled controller of a machine."""
+
+    def __init__(self, problem: Problem, folder: Path) -> None:
+        values, state = problem.values(), np.array(problem.initial_state())
+        exported = controller_of(problem, values, state, persists=PERSISTS)
+        for name, text in controller_files(exported).items():
+            (folder / name).write_text(text)
+        stem, library = f"{problem.name}_controller", folder / "controller.so"
+        strict = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off")
+        compiler = find_compiler()
+        assert compiler is not None
+        command = [*compiler.command, *strict, "-O2", "-shared", "-fPIC", f"{stem}.c", "-lm"]
+        subprocess.run([*command, "-o", str(library)], cwd=folder, check=True)
+        loaded: Any = ctypes.CDLL(str(library))
+        self._step = getattr(loaded, f"{problem.name}_step")
+        self._step.argtypes = [ctypes.c_void_p, ctypes.c_double, *[ctypes.c_void_p] * 3]
+        self._memory = ctypes.create_string_buffer(4096)
+        self._held = list(exported.held)
+        getattr(loaded, f"{problem.name}_begin")(self._memory)
+
+    def step(self, time: float, x: Vector, contacts: list[bool]) -> tuple[Vector, Vector]:
+        """Return the held states and the voltages after a reading."""
+        sensors = np.delete(x, self._held)
+        touched, voltages = np.array(contacts, dtype=np.int32), np.full(4, np.nan)
+        places = (one.ctypes.data for one in (sensors, touched, voltages))
+        self._step(self._memory, time, *places)
+        held = np.frombuffer(self._memory, dtype=np.float64, count=len(self._held)).copy()
+        return held, voltages
+
+
+@needs_compiler
+@pytest.mark.parametrize("periods", [6, pytest.param(100, marks=pytest.mark.slow)])
+def test_the_controller_sets_what_the_machine_sets(periods: int, tmp_path: Path) -> None:
+    controller = Controller(PENDULUM, tmp_path)
+    run = zo.simulate(PENDULUM, until=periods * 2.1102613)
+    names = PENDULUM.state_names
+    kd, gain, angle = (names.index(one) for one in ("held_Kd", "dtheta1", "theta1"))
+    n_set, last = 0, KD
+    for arc in run.arcs:
+        if not arc.duration > 0.0 or arc.trajectory is None:
+            continue
+        times = np.linspace(arc.start_time, arc.end_time, 9)[1:]
+        for time, x in zip(times, arc.states_at(times), strict=True):
+            closed = [bool(arc.closed)]
+            if time == times[-1] and arc.ending.value == "release":
+                continue
+            held, voltages = controller.step(float(time), x, closed)
+            assert held[0] == last
+            assert voltages[0] == -(held[0] * x[gain] + 2.5 * x[angle])
+        for event in run.switches:
+            if event.time == arc.end_time:
+                held, _ = controller.step(event.time, event.state_minus, [False])
+                # A Zeno point and dense output round a constant state.
+                last = event.state_plus[kd]
+                assert held[0] == last
+                n_set += 1
+    assert n_set == len(run.releases) >= periods - 1
+    # Disturbances decay by a third in a period, down to rounding.
+    assert abs(run.switches[-1].state_plus[kd] - KD) < (1e-3 if periods < 10 else 1e-12)
+
+
+@needs_compiler
+def test_a_sampled_controller_switches_at_its_samples(tmp_path: Path) -> None:
+    problem = zo.load_problem("sampled_pendulum")
+    controller = Controller(problem, tmp_path)
+    run = zo.simulate(problem, until=2.0)
+    samples = [one for one in run.switches if one.name == "sample"]
+    assert len(samples) > 10
+    place = problem.state_names.index("held")
+    for sample in samples:
+        before = sample.state_minus.copy()
+        # A reading just before the sample, and one just after it.
+        sine = problem.state_names.index("sine")
+        for shift in (-1e-9, 1e-9):
+            before[sine] = shift
+            held, voltages = controller.step(sample.time + shift, before, [False])
+        assert held[0] == sample.state_plus[place]
+        assert voltages[0] == held[0]
+
+
+def test_the_command_writes_the_controller_of_held_states_alone(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    answer = ask("export", "sampled_pendulum", "--controller", "-o", str(out))
+    assert answer.code == YES
+    assert sorted(path.name for path in out.iterdir()) == [
+        "sampled_pendulum_controller.c",
+        "sampled_pendulum_controller.h",
+    ]
+    for arguments, told in (
+        (("motor_pendulum", "--controller"), "no event sets a held state of `motor_pendulum`"),
+        (("sampled_pendulum", "--controller", "--fmu"), "--controller: must be left out"),
+        (("sampled_pendulum", "--persists", "0.1"), "--persists: belongs to `--controller`"),
+        (("sampled_pendulum", "--controller", "--persists", "-1"), "--persists: must be positive"),
+    ):
+        refused = ask("export", *arguments, "-o", str(tmp_path / "none"))
+        assert refused.code == MISUSE
+        assert told in refused.err
+        assert not (tmp_path / "none").exists()

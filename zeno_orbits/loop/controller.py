@@ -1,0 +1,265 @@
+"""The controller of a machine with held states as one C99 file: law, held states and events.
+
+It needs no memory but that of its caller, and every call takes the same instructions. Its formulas
+are those of the machine, operation by operation, so that all digits are equal.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.loop.export import c_array, c_number, c_text
+from zeno_orbits.loop.formulas import straight_line
+from zeno_orbits.loop.tape import tape_of
+from zeno_orbits.model import ParameterValues, Problem, dense_function
+
+_WORD = re.compile(r"\W")
+KINDS = ("impact", "zeno", "release")
+"""Events of a stop in the order of the flags of the C code."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportedController:
+    """The controller of a machine.
+
+    Attributes:
+        name: Name of the machine.
+        state_names: Names of its states.
+        held: Indices of the held states.
+        values: Gains and parameters, ``(n_p,)``.
+        start: Held values before the first event.
+        stop_names: Names of its stops.
+        setters: ``(x, p) -> x`` after each event of a stop that sets states, by the event.
+        guards: ``(x, p) -> (guards, formulas armed)`` of the switches at which states are set.
+        resets: ``(x, p) -> x`` after each of these switches.
+        voltage: ``(x, p) -> voltages`` of all motors.
+        persists: Duration from which a contact is no bounce [s].
+    """
+
+    name: str
+    state_names: Sequence[str]
+    held: Sequence[int]
+    values: Vector
+    start: Vector
+    stop_names: Sequence[str]
+    setters: Mapping[str, ca.Function]
+    guards: ca.Function
+    resets: Sequence[ca.Function]
+    voltage: ca.Function
+    persists: float
+
+
+def controller_of(
+    problem: Problem, values: ParameterValues, state: Vector, *, persists: float = 0.01
+) -> ExportedController:
+    """Return the controller of a machine with held states.
+
+    Args:
+        problem: The machine.
+        values: Values of its gains and parameters.
+        state: Start, with the values that are held until the first event, ``(n_x,)``.
+        persists: Duration from which a contact is no bounce [s].
+
+    Raises:
+        InputError: If no event sets a held state.
+    """
+    compiled = problem.compiled_graph()
+    graph, x, p = compiled.graph, compiled.graph.state, compiled.parameters
+    held = list(graph.held)
+    setters = {event: compiled.resets[k] for k, event in enumerate(graph.causes) if event}
+    own = [
+        k
+        for k, (cause, reset) in enumerate(zip(graph.causes, graph.resets, strict=True))
+        if not cause and held and not ca.is_equal(reset[held], x[held], 1)
+    ]
+    if not setters and not own:
+        raise InputError(f"Argument `problem`: no event sets a held state of `{problem.name}`.")
+    guards = ca.vertcat(*(ca.SX(graph.switches[k].guard) for k in own))
+    armed = ca.vertcat(*(ca.SX(graph.switches[k].armed) for k in own))
+    return ExportedController(
+        name=problem.name,
+        state_names=problem.state_names,
+        held=held,
+        values=np.array(values.vector),
+        start=np.asarray(state)[held],
+        stop_names=tuple(stop.name for stop in graph.stops),
+        setters=setters,
+        guards=dense_function("guards", [x, p], [ca.vertcat(guards, armed)]),
+        resets=[compiled.resets[k] for k in own],
+        voltage=dense_function("voltage", [x, p], [graph.drive.motor_voltage]),
+        persists=persists,
+    )
+
+
+def controller_files(controller: ExportedController) -> dict[str, str]:
+    """Return the C code of a controller and its header, by file name.
+
+    Args:
+        controller: The controller.
+
+    Raises:
+        UnknownOperationError: If a formula holds an operation that the code lacks.
+    """
+    stem = _WORD.sub("_", controller.name)
+    return {
+        f"{stem}_controller.c": "".join(_code(controller, stem)),
+        f"{stem}_controller.h": _header(controller, stem),
+    }
+
+
+def _header(controller: ExportedController, stem: str) -> str:
+    """Return the header of a controller."""
+    sensors = [name for k, name in enumerate(controller.state_names) if k not in controller.held]
+    held = [controller.state_names[k] for k in controller.held]
+    n_switches = len(controller.resets)
+    return f"""/* The controller of `{controller.name}`.
+
+   Sensors: {", ".join(sensors)}.
+   Held: {", ".join(held)}.
+   Contacts of stops: {", ".join(controller.stop_names) or "none"}. */
+
+#ifndef {stem}_CONTROLLER_H
+#define {stem}_CONTROLLER_H
+
+enum {{
+    {stem}_SENSORS = {len(sensors)},
+    {stem}_HELD = {len(held)},
+    {stem}_STOPS = {len(controller.stop_names)},
+    {stem}_SWITCHES = {n_switches},
+    {stem}_VOLTAGES = {controller.voltage.numel_out(0)}
+}};
+
+/* A contact that lasts longer than this is no bounce, and its end is a release [s]. */
+#ifndef {stem}_PERSISTS
+#define {stem}_PERSISTS {c_number(controller.persists)}
+#endif
+
+typedef struct {{
+    double held[{max(1, len(held))}];
+    double since[{max(1, len(controller.stop_names))}];    /* begin of each contact [s] */
+    int touched[{max(1, len(controller.stop_names))}], rested[{max(1, len(controller.stop_names))}];
+    int above[{max(1, n_switches)}], is_begun;
+}} {stem}_controller;
+
+/* Take the held values of the start. */
+void {stem}_begin({stem}_controller *c);
+
+/* Take a reading: set held states if an event has occurred since the last one, and return the
+   voltages [V]. `contacts` tells for every stop whether it is touched. */
+void {stem}_step({stem}_controller *c, double time, const double *sensors, const int *contacts,
+                 double *voltages);
+
+#endif
+"""
+
+
+def _code(controller: ExportedController, stem: str) -> Iterator[str]:
+    """Yield the parts of the C code of a controller."""
+    n_x = len(controller.state_names)
+    yield f'#include <math.h>\n#include <string.h>\n\n#include "{stem}_controller.h"\n\n'
+    yield f"enum {{ STATES = {n_x} }};\n\n"
+    yield c_array("static const double p[]", map(c_number, controller.values.tolist() or [0.0]))
+    places = [str(k) for k in controller.held] or ["0"]
+    yield c_array("static const int held_at[]", places)
+    yield c_array("static const double first[]", map(c_number, controller.start.tolist() or [0.0]))
+    yield "\n" + straight_line("voltage", tape_of(controller.voltage))
+    yield straight_line("guards", tape_of(controller.guards))
+    for k, reset in enumerate((*controller.setters.values(), *controller.resets)):
+        yield straight_line(f"set_{k}", tape_of(reset))
+    events = list(controller.setters)
+    yield _chosen(len(events) + len(controller.resets))
+    rows = [
+        [
+            str(events.index(f"{kind} {stop}")) if f"{kind} {stop}" in events else "-1"
+            for kind in KINDS
+        ]
+        for stop in controller.stop_names
+    ]
+    flat = [entry for row in rows for entry in row] or ["-1"]
+    yield c_array("static const int at_event[]", flat)
+    yield f"/* Events: {', '.join(map(c_text, events)) or 'none'}. */\n"
+    yield _STEP.replace("NAME", stem).replace("FIRST_SWITCH", str(len(events)))
+
+
+def _chosen(n: int) -> str:
+    cases = "".join(f"    case {k}: set_{k}(x, z); break;\n" for k in range(n))
+    return (
+        "static void set_by(int event, const double *x, double *z) {\n    switch (event) {\n"
+        f"{cases}    default: (void)x, (void)z;\n    }}\n}}\n\n"
+    )
+
+
+_STEP = """
+/* The state of the machine, of what is measured and what is held. */
+static void joined(const NAME_controller *c, const double *sensors, double *x) {
+    int k, next = 0, seen = 0;
+    for (k = 0; k < STATES; k++) {
+        if (next < NAME_HELD && held_at[next] == k)
+            x[k] = c->held[next++];
+        else
+            x[k] = sensors[seen++];
+    }
+}
+
+static void set(NAME_controller *c, int event, const double *sensors) {
+    double x[STATES], z[STATES];
+    int k;
+    if (event < 0) return;
+    joined(c, sensors, x);
+    memcpy(z, x, sizeof z);
+    set_by(event, x, z);
+    for (k = 0; k < NAME_HELD; k++) c->held[k] = z[held_at[k]];
+}
+
+void NAME_begin(NAME_controller *c) {
+    memset(c, 0, sizeof *c);
+    memcpy(c->held, first, NAME_HELD * sizeof(double));
+}
+
+static void see_contacts(NAME_controller *c, double time, const double *sensors,
+                         const int *contacts) {
+    int k;
+    for (k = 0; k < NAME_STOPS; k++) {
+        if (contacts[k] && !c->touched[k]) c->since[k] = time;
+        if (contacts[k] && !c->rested[k] && time - c->since[k] >= NAME_PERSISTS) {
+            c->rested[k] = 1;
+            set(c, at_event[3 * k + 1], sensors);
+        }
+        if (!contacts[k] && c->touched[k]) {
+            set(c, at_event[3 * k + (c->rested[k] ? 2 : 0)], sensors);
+            c->rested[k] = 0;
+        }
+        c->touched[k] = contacts[k];
+    }
+}
+
+static void see_switches(NAME_controller *c, const double *sensors) {
+    double x[STATES], z[2 * NAME_SWITCHES + 1];
+    int k;
+    joined(c, sensors, x);
+    guards(x, z);
+    for (k = 0; k < NAME_SWITCHES; k++) {
+        const int above = z[k] > 0.0;
+        if (c->is_begun && c->above[k] && !above && z[NAME_SWITCHES + k] > 0.0)
+            set(c, FIRST_SWITCH + k, sensors);
+        c->above[k] = above;
+    }
+    c->is_begun = 1;
+}
+
+void NAME_step(NAME_controller *c, double time, const double *sensors, const int *contacts,
+               double *voltages) {
+    double x[STATES];
+    see_contacts(c, time, sensors, contacts);
+    see_switches(c, sensors);
+    joined(c, sensors, x);
+    voltage(x, voltages);
+}
+"""
