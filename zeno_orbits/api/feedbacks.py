@@ -78,7 +78,7 @@ def hold_inputs(
 
     The state ``held_NAME`` takes the place of the input, whose own value is the centre
     :math:`u^*`. With a delay ``next_NAME`` waits for the next event. The coefficients `K` and the
-    centres :math:`y^*` are parameters, ``K_NAME_STATE`` and ``centre_STATE``.
+    centres :math:`y^*` are parameters, ``K_NAME_STATE`` and ``centre_NAME_STATE``.
 
     Args:
         problem: The problem, its name or its file.

@@ -167,11 +167,12 @@ class Feedback(TableRepr):
         try:
             made = with_held_inputs(known.problem, self.law, values=values, start=start)
             made.checked()
+        except InputError:
+            raise
         except ValueError as error:
             names = ", ".join(f"`{name}`" for name in self.inputs)
-            raise InputError(
-                f"Argument `inputs`: {names} cannot be held states: {error}"
-            ) from error
+            told = f"Argument `inputs`: {names} cannot be held states: {error}"
+            raise InputError(told) from error
         if file is None:
             return made
         path, word = Path(file), known.problem.file

@@ -72,7 +72,7 @@ class HeldLaw:
             used: Inputs in use, by name.
             p: Gains and parameters by name, those of the law among them.
         """
-        away = {one: states[one] - p[f"{CENTRE}_{one}"] for one in self.centre}
+        away = {one: states[one] - p[centre_name(name, one)] for one in self.centre}
         away |= {one: used[one] - p[one] for one in self.measured if one not in away}
         wished = p[name] - sum(p[coefficient_name(name, one)] * x for one, x in away.items())
         low, high = self.inputs[name]
@@ -128,6 +128,11 @@ def _python(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else repr(value)
 
 
+def centre_name(name: str, measured: str) -> str:
+    """Return the name of the value of a measured state at which an input has its own value."""
+    return f"{CENTRE}_{name}_{measured}"
+
+
 def coefficient_name(name: str, measured: str) -> str:
     """Return the name of a coefficient of a law as a parameter."""
     return f"K_{name}_{measured}"
@@ -144,7 +149,7 @@ def with_held_inputs(
     """Return a problem some of whose gains or parameters are held states.
 
     The state ``held_NAME`` takes the place of the input, and ``next_NAME`` waits with a delay. The
-    coefficients and centres of the law are parameters: ``K_NAME_STATE`` and ``centre_STATE``.
+    coefficients and centres of the law are parameters: ``K_NAME_STATE`` and ``centre_NAME_STATE``.
 
     Args:
         problem: The problem.
@@ -158,6 +163,7 @@ def with_held_inputs(
         InputError: If a name is unknown or taken, a range is empty, or the law lacks a coefficient.
     """
     _require_law(problem, law)
+    _require_no_time(problem, law)
     values = dict(values or {})
     added = tuple(_law_quantities(problem, law))
     parts = (HELD, *((NEXT,) if law.delay else ()))
@@ -292,6 +298,23 @@ def _require_law(problem: Problem, law: HeldLaw) -> None:
         finite_number(f"centre of {one}", value)
 
 
+def _require_no_time(problem: Problem, law: HeldLaw) -> None:
+    """Refuse a switching time of a waveform: it must not change with the state.
+
+    Raises:
+        InputError: If an input is one.
+    """
+    compiled = problem.compiled_graph()
+    orders = compiled.graph.time_orders
+    times = ca.vertcat(ca.SX(0, 1), *(ca.vertcat(one.lower, one.upper) for one in orders))
+    for one in law.inputs:
+        if times.numel() and ca.depends_on(times, compiled.symbols[one]):
+            raise InputError(
+                f"Argument `inputs`: `{one}` determines a switching time of a waveform, which "
+                "cannot be a state. Take an amplitude."
+            )
+
+
 def _law_quantities(problem: Problem, law: HeldLaw) -> list[Quantity]:
     """Return the coefficients and centres of a law as parameters."""
     found: list[Quantity] = []
@@ -306,15 +329,15 @@ def _law_quantities(problem: Problem, law: HeldLaw) -> list[Quantity]:
                     default=float(law.gain[name][one]),
                 )
             )
-    for one, value in law.centre.items():
-        found.append(
-            Quantity(
-                name=f"{CENTRE}_{one}",
-                unit=problem.units[one],
-                meaning=f"{one} at which the inputs have their own values",
-                default=float(value),
+        for one, value in law.centre.items():
+            found.append(
+                Quantity(
+                    name=centre_name(name, one),
+                    unit=problem.units[one],
+                    meaning=f"{one} at which {name} has its own value",
+                    default=float(value),
+                )
             )
-        )
     return found
 
 

@@ -47,6 +47,8 @@ from zeno_orbits.work import Columns, TableRepr, checked, versions
 _MOVES, _RANK = 1e-9, 1e-9
 """Relative change of a state above which a section moves, and relative singular value below which
 conditions depend."""
+_ROUNDED = 1e-14
+"""Part of the largest value of a state that is rounding."""
 _CLOSED = 1e-6
 """Relative change over a period of an orbit that is closed."""
 
@@ -161,8 +163,10 @@ class ReturnMap(TableRepr):
 
     @property
     def start(self) -> dict[str, float]:
-        """State of the orbit just after the event of the section, by name."""
+        """State of the orbit just after the event of the section, by name. Rounding is zero."""
         after = self._surface.reset(self._centre)
+        scale = largest_states(self._return.execution.arcs, self._surface.graph)
+        after = np.where(np.abs(after) <= _ROUNDED * scale, 0.0, after)
         return dict(zip(self.problem.state_names, after.tolist(), strict=True))
 
     @checked

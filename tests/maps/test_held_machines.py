@@ -1,0 +1,168 @@
+"""The machine with its feedback: multipliers by two routes, files, commands, and refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.support.cases import fast
+from tests.support.commands import MISUSE, YES, ask
+from zeno_orbits.errors import InputError
+
+KD = -1.579094074075361
+START = {"theta1": 0.361422331844671, "dtheta1": -5.874916190354418, "current": -3.333635846498841}
+RANGE = {"Kd": (-1.83, -1.33)}
+
+
+@pytest.fixture(name="here")
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def repelling() -> zo.Orbit:
+    gains = {"Kp": 2.5, "Kd": KD}
+    return zo.find_orbit_by_shooting("motor_pendulum", gains=gains, start=START).unwrap()
+
+
+MACHINES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "hopper": ({}, {"inputs": ["a"]}),
+    "motor_pendulum": ({"gains": {"Kp": 2.5, "Kd": -1.1}}, {"inputs": ["Kd"], "delay": True}),
+    "impact_oscillator": ({}, {"inputs": ["A"]}),
+    "limited_pendulum": ({}, {"inputs": ["Kp", "Kd"]}),
+    "powered_walker": ({}, {"inputs": ["Kp", "Kd"]}),
+    "motor_pendulum at its Zeno point": (
+        {"gains": {"Kp": 2.5, "Kd": -1.1}},
+        {"inputs": ["Kd"], "section": "zeno stop"},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", fast(2, MACHINES))
+def test_the_machine_has_the_multipliers_of_the_design(case: str) -> None:
+    how, asked = MACHINES[case]
+    found = zo.design_feedback(zo.find_event_orbit(case.split()[0], **how), **asked)
+    machine = found.machine()
+    orbit = zo.find_orbit_by_shooting(machine).unwrap()
+    assert orbit.period == pytest.approx(found.returns.period, rel=1e-10)
+    values = np.array(zo.floquet_multipliers(orbit, problem=machine).values)
+    wished = np.array(found.multipliers)
+    n = int(np.sum(np.abs(wished) > 1e-4))
+    assert n > 0
+    assert np.sort_complex(values[:n]) == pytest.approx(np.sort_complex(wished[:n]), abs=1e-8)
+    assert np.max(np.abs(values[n:]), initial=0.0) < 1e-3
+    certificate = zo.verify(orbit, problem=machine)
+    assert certificate.passed, certificate.verdict()
+
+
+def test_the_machine_follows_the_law_of_the_feedback(repelling: zo.Orbit) -> None:
+    found = zo.design_feedback(repelling, RANGE)
+    machine = found.machine()
+    motion = found.run(found.returns.fixed_point * [1.004, 1.0], 8)
+    state = found.returns.state(motion.points[0]) | {"held_Kd": float(motion.inputs[0, 0])}
+    run = zo.simulate(machine, start=state, until=17.5)
+    settings = [one for one in run.switches if one.time > 0.5]
+    assert len(settings) == 8
+    places = [machine.state_names.index(name) for name in ("dtheta1", "current", "held_Kd")]
+    for k, event in enumerate(settings):
+        assert event.time == pytest.approx(motion.times[k + 1], rel=1e-9)
+        assert event.state_plus[places[:2]] == pytest.approx(motion.points[k + 1], rel=1e-8)
+        assert event.state_plus[places[2]] == pytest.approx(
+            found.inputs_at(event.state_plus[places[:2]])[0], rel=1e-13
+        )
+
+
+@pytest.mark.slow
+def test_a_repelling_orbit_is_held_for_a_thousand_periods(repelling: zo.Orbit) -> None:
+    machine = zo.design_feedback(repelling, RANGE).machine()
+    start = dict(zip(machine.state_names, machine.initial_state(), strict=True))
+    run = zo.simulate(
+        machine, start={**start, "dtheta1": 1.001 * start["dtheta1"]}, until=1001 * 2.11026135
+    )
+    values = np.array([one.state_plus for one in run.switches])
+    assert len(values) >= 1000
+    centre = np.array([start[name] for name in machine.state_names])
+    assert np.max(np.abs(values[40:] - centre)) < 1e-11
+    free = zo.simulate(
+        "motor_pendulum",
+        gains={"Kp": 2.5, "Kd": KD},
+        start={**START, "dtheta1": 1.001 * START["dtheta1"]},
+        until=20.0,
+    )
+    away = [abs(one.state[2] - START["dtheta1"]) for one in free.releases if one.time > 0.5]
+    assert max(away[:8]) > 0.3
+
+
+def test_files_and_commands_take_the_machine(repelling: zo.Orbit, here: Path) -> None:
+    zo.write_orbit(repelling, "orbit.json")
+    words = ("feedback", "orbit.json", "--input", "Kd=-1.83:-1.33")
+    assert "Written: held.py" in ask(*words, "--machine", "held.py").out
+    answer = ask("search", "held.py", "-o", "held.json")
+    assert answer.code == YES, answer.err
+    held = zo.read_orbit("held.json")
+    assert held.sequence == ("zeno stop", "release stop", "switch hold at release stop")
+    assert ask("verify", "held.json").code == YES
+    assert "0.343624" in ask("stability", "held.json").out
+    # A problem file of a problem file.
+    again = zo.design_feedback("held.json", ["Kp"]).machine("again.py")
+    assert again.state_names[-2:] == ("held_Kd", "held_Kp")
+    assert zo.find_orbit_by_shooting("again.py").unwrap().period == pytest.approx(held.period)
+    refused = ask("prove", "held.json")
+    assert refused.code == MISUSE
+    assert "has switches" in refused.err
+    assert ask(*words, "--machine", "held.txt").code == MISUSE
+    assert sorted(path.name for path in here.iterdir()) == [
+        *("again.py", "held.json", "held.py", "orbit.json"),
+    ]
+
+
+@pytest.mark.slow
+def test_the_rig_holds_the_orbit_and_without_feedback_leaves_it(repelling: zo.Orbit) -> None:
+    machine = zo.design_feedback(repelling, RANGE).machine()
+    rig = zo.Rig(contact=zo.Contact(stiffness=1e7))
+    run = zo.simulate_rig(machine, rig, until=42.0)
+    rested = [one for one in run.touches if 0.1 < one.end - one.start < 1.0]
+    assert len(rested) == 19
+    periods = np.diff([one.end for one in rested])
+    assert periods == pytest.approx(np.full(18, repelling.period), rel=1e-3)
+    held = [one.end_state[machine.state_names.index("held_Kd")] for one in rested]
+    assert held[-1] == pytest.approx(KD, abs=1e-3)
+    with pytest.raises(zo.SimulationError, match="ran away"):
+        zo.simulate_rig("motor_pendulum", rig, gains={"Kp": 2.5, "Kd": KD}, start=START, until=42.0)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"inputs": {}}, "`inputs` must name at least one"),
+        ({"inputs": {"b": None}}, "`b`"),
+        ({"inputs": {"a": (3.0, 1.0)}}, "must have a range LOWER <= UPPER for `a`"),
+        ({"at": "impact"}, "`at` must be an event"),
+        ({"gain": {}}, "`gain` lacks the coefficient of `speed` in `a`"),
+        ({"gain": {"a": {"speed": float("nan")}}}, "gain of speed"),
+        ({"centre": {"sped": 1.0}, "gain": {"a": {"sped": 1.0}}}, "Did you mean `speed`?"),
+        ({"delay": True}, "`gain` lacks the coefficient of `a` in `a`"),
+    ],
+)
+def test_a_wrong_law_is_named(changed: dict[str, Any], told: str) -> None:
+    law: dict[str, Any] = {
+        "inputs": {"a": None},
+        "at": "impact stop",
+        "gain": {"a": {"speed": 1.0}},
+        "centre": {"speed": 1.0},
+    }
+    with pytest.raises(InputError) as error:
+        zo.hold_inputs("hopper", **law | changed)
+    assert told in str(error.value)
+
+
+def test_an_input_of_a_switching_time_is_refused_as_a_state() -> None:
+    found = zo.design_feedback(zo.find_event_orbit("relay_soft"), ["t1"])
+    with pytest.raises(InputError, match="`t1` determines a switching time of a waveform"):
+        found.machine()
