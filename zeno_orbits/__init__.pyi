@@ -17,6 +17,9 @@ from .api import find_orbit as find_orbit
 from .api import floquet_multipliers as floquet_multipliers
 from .api import design_feedback as design_feedback
 from .api import hold_inputs as hold_inputs
+from .api import stabilize as stabilize
+from .continuation import HeldFamilies as HeldFamilies
+from .continuation import HeldPoint as HeldPoint
 from .api import return_map as return_map
 from .api import identify as identify
 from .api import largest_push as largest_push
@@ -183,7 +186,9 @@ __all__ = [
     "Friction",
     "Gear",
     "HBridge",
+    "HeldFamilies",
     "HeldMotion",
+    "HeldPoint",
     "Hold",
     "HybridLagrangian",
     "Identification",
@@ -309,6 +314,7 @@ __all__ = [
     "simulate_rig",
     "simulate_to_accuracy",
     "simulate_with_error",
+    "stabilize",
     "verify",
     "with_certificate",
     "work_precision",

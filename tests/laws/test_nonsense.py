@@ -64,6 +64,11 @@ def orbit() -> zo.Orbit:
 
 
 @cache
+def families() -> zo.Continuation:
+    return zo.continue_orbit(orbit(), ("Kd", -1.0001, -0.9999))
+
+
+@cache
 def events() -> zo.Orbit:
     return zo.find_event_orbit("sampled_pendulum")
 
@@ -228,6 +233,18 @@ OWN: dict[str, dict[str, Callable[[], Any]]] = {
         "holonomic": lambda: ca.SX(0, 1),
     },
     "design_feedback": {"inputs": lambda: ["Kd"]},
+    "stabilize": {"found": families, "inputs": lambda: ["g"]},
+    "hold_inputs": {
+        "inputs": lambda: {"g": None},
+        "at": lambda: "impact stop",
+        "gain": lambda: {"g": {"v": 0.1}},
+        "centre": lambda: {"v": 1.0},
+    },
+    "Hold": {
+        "states": lambda: ca.SX.sym("u"),
+        "at": lambda: "zeno stop",
+        "after": lambda: ca.SX(1.0),
+    },
     "scatter": {"spread": lambda: {"restitution": 0.01}},
     "NearestGains": {"target": lambda: {"Kp": 2.0}},
     "Problem": {
@@ -251,7 +268,16 @@ RESULTS = (
     *("Orbit", "EventSearchResult", "Execution", "ExecutionWithError", "Family"),
     *("Identification", "OrbitCertificate", "ParameterMap", "PeriodEnclosure", "Proof"),
     *("ProofVerdict", "Pushes", "Recording", "Recovery", "RigRun", "SearchResult", "SwitchEvent"),
-    *("Feedback", "HeldMotion", "ReturnMap", "ReturnSlopes", "Scatter", "Stability"),
+    *(
+        "Feedback",
+        "HeldFamilies",
+        "HeldMotion",
+        "HeldPoint",
+        "ReturnMap",
+        "ReturnSlopes",
+        "Scatter",
+        "Stability",
+    ),
     *("LawComparison", "LawFit", "SearchMethod", "TransientComparison", "TransientFit"),
     *("WorkPrecision", "ZenoCondition", "Orbit", "Drawing", "SpecialPointKind", "PwmSettings"),
 )

@@ -16,6 +16,7 @@ from .executions import simulate_with_error as simulate_with_error
 from .executions import unfinished as unfinished
 from .feedbacks import design_feedback as design_feedback
 from .feedbacks import hold_inputs as hold_inputs
+from .feedbacks import stabilize as stabilize
 from .inputs import any_orbit as any_orbit
 from .inputs import as_orbit as as_orbit
 from .inputs import known_problem as known_problem

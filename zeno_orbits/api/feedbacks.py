@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zeno_orbits.api.inputs import Named, Numbers, any_orbit, front_door, known_problem, problem_of
-from zeno_orbits.model import HeldLaw, Problem, with_held_inputs
+from zeno_orbits.model import HeldLaw, Problem, recorded_problem, with_held_inputs
 from zeno_orbits.orbits import Orbit
+from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
+    from zeno_orbits.continuation import Continuation, HeldFamilies
     from zeno_orbits.maps import Feedback
 
 
@@ -57,6 +59,33 @@ def design_feedback(
     return feedback_of(
         returns, inputs, method=method, weight=weight, multipliers=multipliers, delay=delay
     )
+
+
+@front_door
+def stabilize(
+    found: Continuation,
+    inputs: Sequence[str],
+    *,
+    problem: Named | None = None,
+    on_progress: Progress = silent,
+) -> HeldFamilies:
+    """Return the least feedback that keeps each repelling orbit of families.
+
+    Args:
+        found: The families.
+        inputs: Gains and parameters that are set at each return.
+        problem: The problem of the families. The default is the one that they record.
+        on_progress: Called with the stage and the part of it that is done.
+
+    Raises:
+        InputError: If an input is unknown, or is the parameter of the families.
+    """
+    from zeno_orbits.continuation import held_families
+
+    given = None if problem is None else known_problem(problem)
+    word = found.families[0].problem
+    known = recorded_problem(word, given, result="family", file=found.problem_file)
+    return held_families(known, found, inputs, on_progress=on_progress)
 
 
 @front_door

@@ -124,6 +124,15 @@ class Feedback(TableRepr):
         return eigenvalues(a - b @ self.gain)
 
     @property
+    def scaled_loop(self) -> tuple[Vector, Vector]:
+        """Derivative of the loop, ``(n, n)``, and its matrix `K`, ``(m, n)``, relative to sizes."""
+        a, b = _loop(self.returns, self.inputs, self.delay)
+        units = _input_sizes(self.centre)
+        sizes = np.concatenate([self.returns.sizes, units]) if self.delay else self.returns.sizes
+        loop = (a - b @ self.gain) * sizes / sizes[:, None]
+        return loop, self.gain * sizes / units[:, None]
+
+    @property
     def stable(self) -> bool:
         """True if all multipliers of the loop are inside the unit circle."""
         return _radius(self.multipliers) < 1.0

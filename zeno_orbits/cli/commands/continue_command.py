@@ -20,6 +20,7 @@ from zeno_orbits.cli.options import (
     numbers_of,
     place_of,
     run_resumable,
+    write_json,
 )
 from zeno_orbits.cli.outputs import JSON, PICTURE, require_outputs
 from zeno_orbits.cli.parsing import (
@@ -49,6 +50,7 @@ def add_continue(commands: Any) -> None:
             "zeno-orbits continue orbit.json --parameter Kd=-2.5:0 -o family.json",
             "zeno-orbits continue motor_pendulum --parameter Kd=-2.5:0 "
             "--parameter2 Kp=1:6 --kind fold",
+            "zeno-orbits continue orbit.json --parameter Kd=-2:-1 --stabilize Kp --plot held.png",
             "zeno-orbits continue forced_oscillator --parameter A=0.05:1.5 --section impact "
             "--set c=0.1 --set stop=1 --set restitution=0.8 --start speed=1 --start cosine=1",
         ],
@@ -85,6 +87,14 @@ def add_continue(commands: Any) -> None:
         metavar="N",
         help="largest number of points in each direction",
     )
+    parser.add_argument(
+        "--stabilize",
+        action="append",
+        default=[],
+        metavar="INPUT",
+        help="gain or parameter set once per period: the least effort that keeps each repelling "
+        "orbit (repeatable)",
+    )
     _add_second(parser)
     add_place(parser)
     parser.add_argument("-o", "--output", type=Path, help="write the families here, as JSON")
@@ -115,20 +125,60 @@ def _run_continue(options: argparse.Namespace) -> int:
     problem.require_range(*options.range, argument="parameter")
     if options.second is not None:
         problem.require_range(*options.second, argument="second")
+    for name in options.stabilize:
+        problem.quantity(name, argument="stabilize")
+        if name == options.range.name:
+            raise InputError(f"Argument `stabilize`: `{name}` is the parameter of the families.")
 
     def work(checkpoint: Path | None, progress: report.ProgressLine) -> zo.Continuation:
         return _continued(options, problem, checkpoint, progress)
 
     def finish(found: zo.Continuation) -> int:
-        hand_out(
-            options, found, report.print_families, lambda plots: plots.plot_families(found, problem)
-        )
+        if options.stabilize:
+            _hand_out_held(options, problem, found)
+        else:
+            hand_out(
+                options,
+                found,
+                report.print_families,
+                lambda plots: plots.plot_families(found, problem),
+            )
         if not options.json:
             _print_held(options, problem, found)
         ends = [end for family in found.families for end in (family.first, family.last)]
         return NO if any(end.kind is zo.SpecialPointKind.GAVE_UP for end in ends) else YES
 
     return run_resumable(options, work, finish)
+
+
+def _hand_out_held(
+    options: argparse.Namespace, problem: zo.Problem, found: zo.Continuation
+) -> None:
+    """Design the feedbacks of all repelling orbits, and hand out the families with them."""
+    with report.ProgressLine(options.interrupts.check) as progress:
+        held = api.stabilize(found, options.stabilize, problem=problem, on_progress=progress)
+
+    def show(_: Any) -> None:
+        report.print_families(found)
+        report.print_held_families(held)
+
+    hand_out(
+        options,
+        held,
+        show,
+        lambda plots: plots.plot_held_families(held, problem),
+        lambda _, path: write_json(_WithFile(held), path),
+    )
+
+
+class _WithFile:
+    """Families with feedbacks, and the problem file that they record."""
+
+    def __init__(self, held: zo.HeldFamilies) -> None:
+        self._held, self.problem_file = held, held.found.problem_file
+
+    def as_json(self) -> dict[str, Any]:
+        return self._held.as_json()
 
 
 def _problem(options: argparse.Namespace) -> zo.Problem:

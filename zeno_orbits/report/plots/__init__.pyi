@@ -6,6 +6,7 @@ from .animation import mp4_of as mp4_of
 from .certificate import plot_certificate as plot_certificate
 from .family import plot_boundaries as plot_boundaries
 from .family import plot_families as plot_families
+from .family import plot_held_families as plot_held_families
 from .figure import figure_of as figure_of
 from .graph import plot_graph as plot_graph
 from .map import plot_map as plot_map

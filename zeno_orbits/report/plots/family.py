@@ -16,6 +16,7 @@ from zeno_orbits.continuation import (
     Continuation,
     Family,
     FamilyPoint,
+    HeldFamilies,
     SpecialCurve,
     SpecialPointKind,
     orbit_amplitude,
@@ -94,6 +95,51 @@ def plot_families(
     _show_radii(panels.axes[-1], found)
     for ax, (_, value) in zip(panels, quantities, strict=True):
         _mark_all(ax, found, value)
+    return panels.finished()
+
+
+def plot_held_families(
+    held: HeldFamilies,
+    problem: Problem,
+    *,
+    width: float = FULL_WIDTH,
+    axes: Sequence[Axes] = (),
+) -> Figure:
+    """Return families over their parameter: attracting, repelling, and kept by feedback.
+
+    The panels are the period, the spectral radius without and with feedback, and the effort of the
+    feedback.
+
+    Args:
+        held: The families with their feedbacks.
+        problem: The problem, for units.
+        width: Width of the picture [in].
+        axes: Three panels to draw into, by default on a new figure.
+    """
+    main = held.found.families[0]
+    panels = panels_of(width, 3, height=2.3, axes=axes)
+    period, radius, effort = panels
+    values: tuple[Callable[[FamilyPoint], float], ...] = (
+        lambda point: point.period,
+        lambda point: point.spectral_radius,
+    )
+    for family, points in zip(held.found.families, held.points, strict=True):
+        for ax, value in zip((period, radius), values, strict=True):
+            _draw(ax, family, value, PALETTE[0])
+        kept = [point for point in points if not point.reason]
+        at = [point.value for point in kept]
+        dots: dict[str, Any] = {"ls": "", "marker": ".", "ms": 5.0, "color": PALETTE[1]}
+        dots["label"] = "kept by feedback"
+        period.plot(at, [point.period for point in kept], **dots)
+        radius.plot(at, [point.held_radius for point in kept], **dots)
+        effort.plot(at, [point.effort for point in kept], **dots)
+    labels = ("period [s]", "spectral radius [1]", "effort [1]")
+    for ax, label in zip(panels, labels, strict=True):
+        ax.set(xlabel=_named(problem, main.parameter), ylabel=label)
+        ax.margins(0.06)
+        ax.ticklabel_format(useOffset=False)
+    effort.set_ylim(bottom=0.0)
+    _show_radii(radius, held.found)
     return panels.finished()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from zeno_orbits.continuation import Continuation, Family
+from zeno_orbits.continuation import Continuation, Family, HeldFamilies
 from zeno_orbits.errors import InputError, shown
 from zeno_orbits.experiment import Comparison, TransientComparison, TransientFit
 from zeno_orbits.maps import ParameterMap
@@ -18,7 +18,11 @@ from zeno_orbits.orbits import Orbit, Stability
 from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.motion import orbit_motion
 from zeno_orbits.report.plots.certificate import plot_certificate, plot_multipliers
-from zeno_orbits.report.plots.family import plot_boundaries, plot_families
+from zeno_orbits.report.plots.family import (
+    plot_boundaries,
+    plot_families,
+    plot_held_families,
+)
 from zeno_orbits.report.plots.map import plot_map
 from zeno_orbits.report.plots.panels import add_title, require_width
 from zeno_orbits.report.plots.portraits import plot_portraits
@@ -110,6 +114,15 @@ def _of_continuation(
     return draw(found, problem, width=width, axes=axes)
 
 
+def _of_held(
+    held: HeldFamilies, problem: Problem | None, width: float, axes: Sequence[Axes]
+) -> Figure:
+    found = held.found
+    word, file = found.families[0].problem, found.problem_file
+    problem = recorded_problem(word, problem, result="continuation", file=file)
+    return plot_held_families(held, problem, width=width, axes=axes)
+
+
 _PICTURES: dict[type, Callable[[Any, Problem | None, float, Sequence[Axes]], Figure]] = {
     Execution: _of_execution,
     Orbit: _of_orbit,
@@ -123,6 +136,7 @@ _PICTURES: dict[type, Callable[[Any, Problem | None, float, Sequence[Axes]], Fig
     Stability: lambda found, _, width, axes: plot_multipliers(
         tuple(found.values), width=width, axes=axes
     ),
+    HeldFamilies: _of_held,
     Family: lambda found, problem, width, axes: _of_continuation(
         Continuation(families=(found,)), problem, width, axes
     ),

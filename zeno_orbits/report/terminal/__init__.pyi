@@ -33,6 +33,7 @@ from .searches import print_solver as print_solver
 from .studies import print_basin as print_basin
 from .studies import print_attractor as print_attractor
 from .studies import print_families as print_families
+from .studies import print_held_families as print_held_families
 from .studies import print_map as print_map
 from .studies import print_pushes as print_pushes
 from .studies import print_recovery as print_recovery

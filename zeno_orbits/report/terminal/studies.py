@@ -32,7 +32,14 @@ from zeno_orbits.report.terminal.console import print_lines, print_table
 from zeno_orbits.work import decimal_below
 
 if TYPE_CHECKING:
-    from zeno_orbits.continuation import Continuation, Family, SpecialCurve, SpecialPoint
+    from zeno_orbits.continuation import (
+        Continuation,
+        Family,
+        HeldFamilies,
+        HeldPoint,
+        SpecialCurve,
+        SpecialPoint,
+    )
     from zeno_orbits.maps import (
         Attractor,
         Feedback,
@@ -46,6 +53,8 @@ if TYPE_CHECKING:
     from zeno_orbits.precision import ReductionCost, TimedSetting, WorkPrecision
     from zeno_orbits.proof import Proof
 
+_MOST_HELD = 12
+"""Rows of repelling orbits that are printed at least, if there are as many."""
 _ROUNDING = 1e-12
 """A multiplier of a branch below this value is rounding error."""
 
@@ -405,6 +414,41 @@ def print_families(found: Continuation) -> None:
         ]
         print_table(columns, found.boundaries)
         print_lines(_cusp(boundary, k) for boundary in found.boundaries for k in boundary.cusps)
+
+
+def print_held_families(held: HeldFamilies) -> None:
+    """Print the repelling orbits of families, each with the least feedback that keeps it.
+
+    Args:
+        held: The families with feedbacks.
+    """
+    name = held.found.families[0].parameter
+    every = [point for points in held.points for point in points]
+    kept = [point for point in every if not point.reason]
+    orbits = counted(len(every), "repelling orbit")
+    print_lines([f"Feedback by {', '.join(held.inputs)} keeps {len(kept)} of {orbits}."])
+    if not every:
+        return
+    columns: list[Column[HeldPoint]] = [
+        number_column(name, lambda one: f"{one.value:.9g}"),
+        number_column("period [s]", lambda one: f"{one.period:.9g}"),
+        number_column("radius without", lambda one: f"{one.spectral_radius:.6g}"),
+        number_column("with", lambda one: "" if one.reason else f"{one.held_radius:.6g}"),
+        number_column("effort", lambda one: "" if one.reason else f"{one.effort:.5g}"),
+    ]
+    step = max(1, len(every) // _MOST_HELD)
+    shown = every[::step]
+    print_table(columns, shown)
+    if step > 1:
+        print_lines([f"One of {step} orbits is shown; --json has all."])
+    print_lines(
+        [
+            "Effort: change of the inputs, relative to their own values, per disturbance of the "
+            "coordinates' largest values."
+        ]
+    )
+    for reason in dict.fromkeys(point.reason for point in every if point.reason):
+        print_lines([f"Not kept: {reason}"])
 
 
 def _print_family(family: Family) -> None:
