@@ -26,7 +26,7 @@ def repelling() -> zo.Orbit:
 @pytest.fixture(scope="module")
 def families(repelling: zo.Orbit) -> zo.Continuation:
     """Three orbits of a family: its ends, and the start."""
-    found = zo.continue_orbit(repelling, ("Kd", -1.5792, -1.579))
+    found = zo.continue_orbit(repelling, ("Kd", -1.5791, -1.57909))
     (family,) = found.families
     middle = min(family.points, key=lambda one: abs(one.value - KD))
     points = (family.points[0], middle, family.points[-1])

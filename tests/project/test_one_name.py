@@ -40,7 +40,7 @@ SAME = {
     "stability": ["floquet_multipliers"],
     "prove": ["prove"],
     "map": ["parameter_map"],
-    "continue": ["continue_orbit", "stabilize"],
+    "continue": ["continue_orbit"],
     "push": ["largest_push"],
     "recovery": ["recovery"],
     "feedback": ["design_feedback"],

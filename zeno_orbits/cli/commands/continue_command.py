@@ -89,6 +89,7 @@ def add_continue(commands: Any) -> None:
     )
     parser.add_argument(
         "--stabilize",
+        dest="inputs",
         action="append",
         default=[],
         metavar="INPUT",
@@ -125,16 +126,16 @@ def _run_continue(options: argparse.Namespace) -> int:
     problem.require_range(*options.range, argument="parameter")
     if options.second is not None:
         problem.require_range(*options.second, argument="second")
-    for name in options.stabilize:
-        problem.quantity(name, argument="stabilize")
+    for name in options.inputs:
+        problem.quantity(name, argument="inputs")
         if name == options.range.name:
-            raise InputError(f"Argument `stabilize`: `{name}` is the parameter of the families.")
+            raise InputError(f"Argument `inputs`: `{name}` is the parameter of the families.")
 
     def work(checkpoint: Path | None, progress: report.ProgressLine) -> zo.Continuation:
         return _continued(options, problem, checkpoint, progress)
 
     def finish(found: zo.Continuation) -> int:
-        if options.stabilize:
+        if options.inputs:
             _hand_out_held(options, problem, found)
         else:
             hand_out(
@@ -156,7 +157,7 @@ def _hand_out_held(
 ) -> None:
     """Design the feedbacks of all repelling orbits, and hand out the families with them."""
     with report.ProgressLine(options.interrupts.check) as progress:
-        held = api.stabilize(found, options.stabilize, problem=problem, on_progress=progress)
+        held = api.stabilize(found, options.inputs, problem=problem, on_progress=progress)
 
     def show(_: Any) -> None:
         report.print_families(found)
