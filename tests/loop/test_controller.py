@@ -57,7 +57,7 @@ class Controller:
         touched, voltages = np.array(contacts, dtype=np.int32), np.full(4, np.nan)
         places = (one.ctypes.data for one in (sensors, touched, voltages))
         self._step(self._memory, time, *places)
-        held = np.frombuffer(self._memory, dtype=np.float64, count=len(self._held)).copy()
+        held = np.frombuffer(self._memory.raw, dtype=np.float64, count=len(self._held))
         return held, voltages
 
 

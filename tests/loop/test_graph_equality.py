@@ -243,7 +243,7 @@ def test_a_run_goes_on_after_every_step(name: str) -> None:
     assert whole is not None
     assert not isinstance(program, str)
     run = LoopRun(program, filled(run_settings(task)), graph.p, state)
-    fewest = 2 + 4 * len(graph.stop_names)
+    fewest = 2 + 4 * len(graph.stop_names) + graph.n_declared
     status = binding.FULL
     while status == binding.FULL:
         with pytest.raises(ValueError, match=f"`events` must be at least {fewest}"):

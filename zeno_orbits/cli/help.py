@@ -61,6 +61,7 @@ GROUPS = {
         ),
         *("--kind", "--recording", "--directions", "--phases", "--reach", "--spread"),
         *("--inputs", "--method", "--weight", "--multipliers", "--delay", "--extent"),
+        "--stabilize",
     ),
     "effort": (
         *("--until", "--n-starts", "--candidates", "--max-points"),
@@ -75,7 +76,7 @@ GROUPS = {
     "parallel": ("--workers", "--scheduler", "--checkpoint"),
     "output": (
         *("--output", "--plot", "--boundaries", "--rate", "--noise", "--orbit", "--format"),
-        *("--fmu", "--input"),
+        *("--fmu", "--input", "--controller", "--persists", "--machine"),
         *("--events", "--all-states", "--states", "--margins", "--all"),
         *("--json", "--verbose", "--debug", "--help", "--help-all"),
     ),

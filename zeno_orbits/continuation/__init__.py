@@ -6,9 +6,11 @@ followed in a second parameter (`two_parameters`).
 
 Offers: `family_of_orbit` and `family_of_impacts`, which return a `Continuation` of `Family`; how to
 follow: `SecondParameter`, `ContinuationSettings`, `FamilySteps`, `CurveSteps`, `WorkerPool`
-(workers); `start_orbit` and `clip_to_box`; `orbit_amplitude` of a point of a family.
+(workers); `start_orbit` and `clip_to_box`; `orbit_amplitude` of a point of a family;
+`held_families`, the `HeldFamilies` of `HeldPoint`s that a feedback of least effort (`effort_of`)
+keeps.
 
-Imports: search, orbits, simulation, model, work, arrays, errors.
+Imports: search, maps, orbits, simulation, model, work, arrays, errors.
 
 To find a fault in a family, read in this order: `continuation` (the arguments), `setup` (the start
 of the family), `branch` (steps and ends), `corrector` (one point), `return_maps` (one return, for
