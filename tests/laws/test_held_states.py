@@ -211,3 +211,22 @@ def test_wrong_held_states_are_refused() -> None:
     switch = zo.Switch(name="hold at zeno floor", guard=x - 1)
     with pytest.raises(ValueError, match="must not begin with `hold at`"):
         zo.hybrid_system(mass, zo.no_drive(mass), switches=(switch,))
+
+
+@pytest.mark.usefixtures("both_loops")
+def test_states_that_are_set_at_impacts_that_accumulate_are_named() -> None:
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        x, v, u = ca.SX.sym("x"), ca.SX.sym("v"), ca.SX.sym("u")
+        stop = zo.Stop(name="floor", gap=x, restitution=p["e"])
+        mass = zo.HybridLagrangian.from_energies(
+            q=x, v=v, kinetic=v**2 / 2, potential=GRAVITY * x, stops=(stop,)
+        )
+        hold = zo.Hold(states=u, at="impact floor", after=v)
+        return zo.hybrid_system(mass, (zo.no_drive(mass), hold))
+
+    problem = machine_of(model, {"x": "m", "v": "m/s", "u": "m/s"}, {"e": E})
+    with pytest.raises(zo.SimulationError, match="`hold at impact floor` accumulate") as refusal:
+        zo.simulate(problem, start={"x": 1.0}, until=5.0)
+    # The sum of all flights.
+    limit = math.sqrt(2 / GRAVITY) * (1 + E) / (1 - E)
+    assert refusal.value.time == pytest.approx(limit, rel=1e-4)
