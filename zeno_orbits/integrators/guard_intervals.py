@@ -12,9 +12,12 @@ import math
 import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import casadi as ca
+import numpy as np
+
+from zeno_orbits.integrators.lookups import CellTable, Lookup, called
 
 WIDE = 1e300
 """Stands for a bound where none is known, as of a quotient by an interval around zero."""
@@ -61,7 +64,7 @@ class _Doubt:
 def has_bounds(formula: ca.Function) -> bool:
     """Return True if each operation of a formula has bounds here."""
     codes = {formula.instruction_id(k) for k in range(formula.n_instructions())}
-    return codes <= _KNOWN
+    return codes - {ca.OP_CALL} <= _KNOWN
 
 
 def guard_bounds(watched: ca.Function) -> ca.Function:
@@ -95,6 +98,7 @@ def _enclosed(formula: ca.Function, states: list[Interval], numbers: list[ca.SX]
     doubt, guard_doubt = _Doubt(), ca.SX(0.0)
     outputs = [_point(0.0)] * formula.numel_out(0)
     rows = formula.sparsity_out(0).row()
+    nodes: Any = formula.instructions_sx()
     for k in range(formula.n_instructions()):
         code = formula.instruction_id(k)
         takes, gives = formula.instruction_input(k), formula.instruction_output(k)
@@ -110,6 +114,13 @@ def _enclosed(formula: ca.Function, states: list[Interval], numbers: list[ca.SX]
             constants[gives[0]] = formula.instruction_constant(k)
             work[gives[0]] = _point(constants[gives[0]])
             continue
+        elif code == ca.OP_CALL:
+            results = _looked_up(nodes[k], [work[place] for place in takes])
+            for place, result in zip(gives, results, strict=True):
+                doubt.unless_constant(result)
+                work[place] = result
+                constants.pop(place, None)
+            continue
         else:
             given = [work[place] for place in takes]
             known = constants.get(takes[-1]) if code in _POWERS else None
@@ -124,6 +135,47 @@ def _enclosed(formula: ca.Function, states: list[Interval], numbers: list[ca.SX]
     return [
         Interval(one.low - more, one.high + more) for one, more in zip(outputs, doubts, strict=True)
     ]
+
+
+def _looked_up(node: Any, given: list[Interval]) -> list[Interval]:
+    """Return the cell of a table, or the numbers of a cell."""
+    function, found = called(node)
+    lookup = cast("Lookup", found)
+    if lookup.side is None:
+        return _numbers_of_cells(function, lookup.table, given[0])
+    if len(given) == 1:
+        return [Interval(function(given[0].low), function(given[0].high))]
+    return [_cells_of_turn(lookup.table.on_phase(lookup.side), lookup.table, *given)]
+
+
+def _cells_of_turn(cell: Any, table: CellTable, c: Interval, s: Interval) -> Interval:
+    """Return the cells of phases: all cells where the interval holds the end of a turn."""
+    doubt, turn = _Doubt(), float(table.knots[-1])
+    angle: Any = ca.atan2(s.low + s.high, c.low + c.high)
+    middle = ca.if_else(angle < 0, angle + turn, angle)
+    cosine, sine = _point(ca.cos(angle)), _point(ca.sin(angle))
+    ahead = _sum(_product(c, cosine, doubt), _product(s, sine, doubt), doubt)
+    aside = _difference(_product(s, cosine, doubt), _product(c, sine, doubt), doubt)
+    low = middle + ca.atan(aside.low / ca.if_else(aside.low < 0, ahead.low, ahead.high))
+    high = middle + ca.atan(aside.high / ca.if_else(aside.high > 0, ahead.low, ahead.high))
+    first, last = cell(low), cell(high)
+    every = ca.logic_or(ca.logic_not(ahead.low > 0), ca.logic_or(low < 0, high >= turn))
+    every = ca.logic_or(every, last < first)
+    return Interval(ca.if_else(every, 0, first), ca.if_else(every, table.n - 1, last))
+
+
+def _numbers_of_cells(pick: Any, table: CellTable, cell: Interval) -> list[Interval]:
+    """Return the numbers of cells: those of all where the cells are not close to each other."""
+    middle = ca.floor((cell.low + cell.high) / 2)
+    found = [ca.vertsplit(ca.densify(pick(one))) for one in (cell.low, middle, cell.high)]
+    is_near = cell.high - cell.low <= 2
+    results: list[Interval] = []
+    for column, near in zip(table.columns, zip(*found, strict=True), strict=True):
+        hull = _hull(list(near))
+        least, largest = float(np.min(column)), float(np.max(column))
+        low, high = ca.if_else(is_near, hull.low, least), ca.if_else(is_near, hull.high, largest)
+        results.append(Interval(low, high))
+    return results
 
 
 def _operation(code: int, given: list[Interval], exponent: float | None, doubt: _Doubt) -> Interval:

@@ -31,7 +31,7 @@ class TapeType(ctypes.Structure):
     _fields_ = [
         *((name, _count) for name in ("n_varying", "n_parameters", "n_constants", "n_registers")),
         *((name, _count) for name in ("n_once", "n_first", "n_instructions", "n_outputs")),
-        *((name, _address) for name in ("code", "constants", "outputs")),
+        *((name, _address) for name in ("code", "constants", "outputs", "tables")),
     ]
 
 

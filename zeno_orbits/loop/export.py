@@ -97,6 +97,7 @@ class _Arrays:
     def __init__(self) -> None:
         self.texts: list[str] = []
         self._names: dict[str, str] = {}
+        self._tables: dict[int, str] = {}
 
     def name(self, kind: str, entries: Sequence[str]) -> str:
         """Return the name of an array of constants, or ``0`` if it is empty."""
@@ -109,6 +110,13 @@ class _Arrays:
             self.texts.append(f"static const {kind} {name}[] = {{\n    {text}\n}};\n")
         return self._names[key]
 
+    def table(self, table: Vector) -> str:
+        """Return the name of a table, whose text is made once."""
+        if id(table) not in self._tables:
+            numbers = list(map(c_number, table.tolist()))
+            self._tables[id(table)] = self.name("double", numbers)
+        return self._tables[id(table)]
+
     def tape(self, tape: Tape) -> str:
         """Return a formula as an entry."""
         rows = ["{" + ", ".join(map(str, row)) + "}" for row in tape.code.tolist()]
@@ -120,6 +128,7 @@ class _Arrays:
             self.name("zl_instruction", rows),
             self.name("double", list(map(c_number, tape.constants.tolist()))),
             self.name("int", list(map(str, tape.outputs.tolist()))),
+            self.name("double *const", list(map(self.table, tape.tables))),
         )
         return "{" + ", ".join((*map(str, counts), *names)) + "}"
 

@@ -75,7 +75,7 @@ def formulas_digest(n_x: int, tapes: Sequence[Tape]) -> str:
     for tape in tapes:
         counts = (n_x, tape.n_varying, tape.n_parameters, tape.n_registers, tape.n_once)
         digest.update(repr((counts, tape.code.shape, tape.outputs.shape)).encode())
-        for numbers in (tape.code, tape.constants, tape.outputs):
+        for numbers in (tape.code, tape.constants, tape.outputs, *tape.tables):
             digest.update(numbers.tobytes())
     return digest.hexdigest()[:32]
 
@@ -87,8 +87,8 @@ def _formulas() -> tuple[str, ...]:
     return tuple(found["formula"].strip() for found in _OPERATION.finditer(text))
 
 
-_ARGUMENTS = "const double *r, const double *v, double *z"
-_UNUSED = "    (void)r, (void)v;\n"
+_ARGUMENTS = "const double *const *tables, const double *r, const double *v, double *z"
+_UNUSED = "    (void)tables, (void)r, (void)v;\n"
 
 
 def _choice(name: str, stem: str, views: Mapping[int, Iterable[int]]) -> str:
@@ -97,7 +97,7 @@ def _choice(name: str, stem: str, views: Mapping[int, Iterable[int]]) -> str:
     text.append("    switch (view) {\n")
     for number, places in views.items():
         text.append(f"    case {number}LL:\n        switch (tape) {{\n")
-        text += [f"        case {k}: {stem}_{number}_{k}(r, v, z); break;\n" for k in places]
+        text += [f"        case {k}: {stem}_{number}_{k}(tables, r, v, z); break;\n" for k in places]
         text.append("        }\n        return 1;\n")
     return "".join((*text, "    }\n    return 0;\n}\n"))
 

@@ -154,11 +154,49 @@ static Interval length_of(Interval a, Interval b) {
     return between(sqrt(total.low), sqrt(total.high));
 }
 
+/* The cells of an interval. */
+static Interval cells_of(const double *const *tables, double code, Interval x) {
+    return between(cell_of(tables, code, x.low), cell_of(tables, code, x.high));
+}
+
+/* The cells of phases, by cosines and sines: all cells where the interval holds the end of a turn. */
+static Interval cells_of_turn(const double *const *tables, double code, Interval c, Interval s) {
+    const double *table = tables[(int)code / SIDES];
+    const double angle = atan2(s.low + s.high, c.low + c.high), turn = table[T_LAST];
+    const double middle = angle < 0.0 ? angle + turn : angle;
+    const Interval cosine = between(cos(angle), cos(angle)), sine = between(sin(angle), sin(angle));
+    const Interval ahead = sum_of(product_of(c, cosine), product_of(s, sine));
+    const Interval aside = difference_of(product_of(s, cosine), product_of(c, sine));
+    Interval phase, cells;
+    if (!(ahead.low > 0.0)) return between(0.0, table[T_CELLS] - 1.0);
+    phase = between(middle + atan(aside.low / (aside.low < 0.0 ? ahead.low : ahead.high)),
+                    middle + atan(aside.high / (aside.high > 0.0 ? ahead.low : ahead.high)));
+    cells = cells_of(tables, code, phase);
+    if (phase.low < 0.0 || phase.high >= turn || cells.high < cells.low)
+        return between(0.0, table[T_CELLS] - 1.0);
+    return cells;
+}
+
+/* The numbers of cells: those of all where the cells are not close to each other. */
+static Interval numbers_of_cells(const double *const *tables, double which, double place,
+                                 Interval cell) {
+    const double n = tables[(int)which][T_CELLS];
+    const double low = number_of_cell(tables, which, place, cell.low);
+    const double high = number_of_cell(tables, which, place, cell.high);
+    double middle;
+    if (isnan(low) || isnan(high)) return between(NAN, NAN);
+    if (!(cell.high - cell.low <= 2.0))
+        return between(number_of_cell(tables, which, place, n),
+                       number_of_cell(tables, which, place, n + 1.0));
+    middle = number_of_cell(tables, which, place, floor((cell.low + cell.high) / 2.0));
+    return between(minimum(minimum(low, middle), high), maximum(maximum(low, middle), high));
+}
+
 static double sign_of(double x) { return x < 0.0 ? -1.0 : x > 0.0 ? 1.0 : x; }
 
 /* Carry out one operation; `exponent` is that of a power with a number, or not finite. */
 static Interval operated(int op, Interval x, Interval y, Interval w, double exponent,
-                         Doubt *doubt) {
+                         const double *const *tables, Doubt *doubt) {
     Interval z;
     switch (op) {
     case OP_COPY: return x;
@@ -225,6 +263,9 @@ static Interval operated(int op, Interval x, Interval y, Interval w, double expo
     case OP_FMIN: return between(minimum(x.low, y.low), minimum(x.high, y.high));
     case OP_FMAX: return between(maximum(x.low, y.low), maximum(x.high, y.high));
     case OP_IF_ELSE_ZERO: return where_true(x, y);
+    case OP_CELL: z = cells_of(tables, y.low, x); break;
+    case OP_TURN: z = cells_of_turn(tables, w.low, x, y); break;
+    case OP_PICK: z = numbers_of_cells(tables, y.low, w.low, x); break;
     default: doubted(1, doubt); return between(0.0, 0.0);
     }
     /* What jumps in the box has no derivative. */
@@ -239,7 +280,8 @@ static void carry_out_intervals(const zl_tape *tape, long long from, long long t
     const int results = constants + (int)tape->n_constants;
     for (; code < end; code++) {
         const double exponent = constants <= code->b && code->b < results ? r[code->b].low : NAN;
-        r[code->to] = operated(code->op, r[code->a], r[code->b], r[code->c], exponent, doubt);
+        r[code->to] = operated(code->op, r[code->a], r[code->b], r[code->c], exponent,
+                               tape->tables, doubt);
     }
 }
 

@@ -26,6 +26,7 @@ typedef struct {
     const zl_instruction *code;
     const double *constants;
     const int *outputs;
+    const double *const *tables; /* of look-ups: `lookup.c` */
 } zl_tape;
 
 /* Modes: off the stop, on it, and a flight in rescaled time. The flight is the free mode between

@@ -274,6 +274,7 @@ def fill_tape(place: Any, tape: Tape) -> None:
     place.n_instructions, place.n_outputs = len(tape.code), tape.outputs.size
     place.code, place.constants = tape.code.ctypes.data, tape.constants.ctypes.data
     place.outputs = tape.outputs.ctypes.data
+    place.tables = tape.table_places.ctypes.data
 
 
 @cache

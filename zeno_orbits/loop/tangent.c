@@ -130,7 +130,8 @@ static void entries_at(const Tangent *t, const double *states, int count) {
             const double *y = states + (first + lane < count ? first + lane : first) * ZL_MOST;
             for (i = 0; i < t->n; i++) lanes[i * ZL_LANES + lane] = y[i];
         }
-        carry_out_lanes(tape->code + tape->n_once, tape->n_instructions - tape->n_once, lanes);
+        carry_out_lanes(tape->code + tape->n_once, tape->n_instructions - tape->n_once, lanes,
+                        tape->tables);
         for (lane = 0; lane < ZL_LANES && first + lane < count; lane++) {
             double *values = t->values + (first + lane) * tape->n_outputs;
             for (e = 0; e < tape->n_outputs; e++)

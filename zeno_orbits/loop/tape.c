@@ -1,5 +1,7 @@
 /* Tapes: formulas as instructions on registers, one state at a time or several in step. */
 
+#include "lookup.c"
+
 /* The order is that of `tape.py`. The operands are x, y and w. */
 enum {
     OP_COPY, OP_ADD, OP_SUB, OP_MUL, OP_DIV, OP_NEG, OP_SQ, OP_TWICE, OP_INV, OP_SQRT, OP_SIN,
@@ -8,7 +10,9 @@ enum {
     OP_SIGN, OP_COPYSIGN, OP_FMIN, OP_FMAX, OP_FLOOR, OP_CEIL, OP_FMOD, OP_REMAINDER, OP_LT, OP_LE,
     OP_EQ, OP_NE, OP_NOT, OP_AND, OP_OR, OP_IF_ELSE_ZERO,
     /* A product and a sum, each rounded: two instructions in one. */
-    OP_MUL_ADD, OP_MUL_SUB, OP_SUB_MUL
+    OP_MUL_ADD, OP_MUL_SUB, OP_SUB_MUL,
+    /* The cell of x, or of the phase (x, y), in a table; the number of cell x at a place of it. */
+    OP_CELL, OP_TURN, OP_PICK
 };
 
 #define OPERATIONS(ONE)                                                                            \
@@ -61,7 +65,10 @@ enum {
     ONE(OP_IF_ELSE_ZERO, x != 0.0 ? y : 0.0)                                                       \
     ONE(OP_MUL_ADD, x * y + w)                                                                     \
     ONE(OP_MUL_SUB, x * y - w)                                                                     \
-    ONE(OP_SUB_MUL, w - x * y)
+    ONE(OP_SUB_MUL, w - x * y)                                                                     \
+    ONE(OP_CELL, cell_of(tables, y, x))                                                            \
+    ONE(OP_TURN, cell_of_turn(tables, w, x, y))                                                    \
+    ONE(OP_PICK, number_of_cell(tables, y, w, x))
 
 #ifdef __GNUC__
 /* Each operation jumps to the next by itself: a processor foresees that better than the one jump of
@@ -72,13 +79,15 @@ enum {
     if (code == end) return;                                                                       \
     goto *places[code->op];
 
-static void carry_out(const zl_instruction *code, long long n, double *registers) {
+static void carry_out(const zl_instruction *code, long long n, double *registers,
+                      const double *const *tables) {
     static const void *const places[] = {
 #define ONE(OP, FORMULA) [OP] = &&at_##OP,
         OPERATIONS(ONE)
 #undef ONE
     };
     const zl_instruction *end = code + n;
+    (void)tables;
     NEXT
 #define ONE(OP, FORMULA)                                                                           \
     at_##OP : {                                                                                    \
@@ -95,7 +104,8 @@ static void carry_out(const zl_instruction *code, long long n, double *registers
 #undef NEXT
 #pragma GCC diagnostic pop
 #else
-static void carry_out(const zl_instruction *code, long long n, double *registers) {
+static void carry_out(const zl_instruction *code, long long n, double *registers,
+                      const double *const *tables) {
     const zl_instruction *end = code + n;
     for (; code < end; code++) {
         const double x = registers[code->a], y = registers[code->b], w = registers[code->c];
@@ -116,7 +126,8 @@ static void carry_out(const zl_instruction *code, long long n, double *registers
 #endif
 
 /* The same for several states, a row of registers each entry of which belongs to one of them. */
-static void carry_out_lanes(const zl_instruction *code, long long n, double *registers) {
+static void carry_out_lanes(const zl_instruction *code, long long n, double *registers,
+                            const double *const *tables) {
     const zl_instruction *end = code + n;
     for (; code < end; code++) {
         const double *first = registers + (long long)code->a * ZL_LANES;
@@ -151,7 +162,7 @@ static void tape_prepare(const zl_tape *tape, double *registers, const double *p
     memcpy(place, p, (size_t)tape->n_parameters * sizeof(double));
     place += tape->n_parameters;
     if (tape->n_constants) memcpy(place, tape->constants, (size_t)tape->n_constants * sizeof(double));
-    carry_out(tape->code, tape->n_once, registers);
+    carry_out(tape->code, tape->n_once, registers, tape->tables);
 }
 
 /* Do the rest. */
@@ -159,7 +170,8 @@ static void tape_run(const zl_tape *tape, double *registers, const double *varyi
                      double *outputs) {
     long long k;
     memcpy(registers, varying, (size_t)tape->n_varying * sizeof(double));
-    carry_out(tape->code + tape->n_once, tape->n_instructions - tape->n_once, registers);
+    carry_out(tape->code + tape->n_once, tape->n_instructions - tape->n_once, registers,
+              tape->tables);
     for (k = 0; k < tape->n_outputs; k++) outputs[k] = registers[tape->outputs[k]];
 }
 
@@ -177,7 +189,8 @@ static void tape_run_lanes(const zl_tape *tape, double *lanes, const double *var
     const size_t row = ZL_LANES * sizeof(double);
     long long k;
     memcpy(lanes, varying, (size_t)tape->n_varying * row);
-    carry_out_lanes(tape->code + tape->n_once, tape->n_instructions - tape->n_once, lanes);
+    carry_out_lanes(tape->code + tape->n_once, tape->n_instructions - tape->n_once, lanes,
+                    tape->tables);
     for (k = 0; k < tape->n_outputs; k++)
         memcpy(outputs + k * ZL_LANES, lanes + (long long)tape->outputs[k] * ZL_LANES, row);
 }

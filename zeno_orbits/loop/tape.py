@@ -8,13 +8,19 @@ for each other, so a processor executes several at once.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.lookups import CellTable, Side, called
 
 _OPERATIONS = (
     *("ASSIGN", "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "INV", "SQRT", "SIN", "COS"),
@@ -33,6 +39,9 @@ _NUMBERS[ca.OP_CONSTPOW] = _NUMBERS[ca.OP_POW]
 _MULTIPLY, _ADD, _SUBTRACT = (_NUMBERS[op] for op in (ca.OP_MUL, ca.OP_ADD, ca.OP_SUB))
 _MULTIPLY_ADD, _MULTIPLY_SUBTRACT, _SUBTRACT_PRODUCT = range(len(_OPERATIONS), len(_OPERATIONS) + 3)
 """A product and a sum in one instruction, each rounded."""
+_CELL, _TURN, _PICK = range(len(_OPERATIONS) + 3, len(_OPERATIONS) + 6)
+"""Look-ups in tables."""
+_FLOOR = _NUMBERS[ca.OP_FLOOR]
 
 _NAMES: dict[int, str] = {
     getattr(ca, name): name.removeprefix("OP_").lower()
@@ -61,6 +70,7 @@ class Tape:
         code: Operation, result and three operands of every instruction, ``(n, 5)``.
         constants: Values of the constants.
         outputs: Register of every output.
+        tables: Numbers of the tables that it looks into.
     """
 
     n_varying: int
@@ -71,6 +81,12 @@ class Tape:
     code: NDArray[np.int32]
     constants: NDArray[np.float64]
     outputs: NDArray[np.int32]
+    tables: tuple[Vector, ...] = ()
+
+    @cached_property
+    def table_places(self) -> NDArray[np.uint64]:
+        """Address of every table in memory."""
+        return np.array([one.ctypes.data for one in self.tables] or [0], dtype=np.uint64)
 
     @classmethod
     def empty(cls) -> Tape:
@@ -119,12 +135,36 @@ class _Formula:
         constants: Values of the constants.
         made: Operation and operands of every result. An unused operand repeats the first operand.
         outputs: Value of every requested output.
+        tables: Tables that it looks into, by their digests.
     """
 
     offsets: list[int]
     constants: list[float] = field(default_factory=list[float])
     made: list[_Made] = field(default_factory=list[tuple[int, int, int, int]])
     outputs: list[_Value] = field(default_factory=list[int])
+    tables: dict[str, CellTable] = field(default_factory=dict[str, CellTable])
+    _known: dict[str, _Value] = field(default_factory=dict[str, int])
+    _looked_up: dict[_Made, _Value] = field(default_factory=dict[tuple[int, int, int, int], int])
+
+    def constant(self, number: float) -> _Value:
+        """Return the value of a number, which is kept once."""
+        # By its digits: zero has two signs.
+        key = number.hex()
+        if key not in self._known:
+            self._known[key] = _CONSTANT + len(self.constants)
+            self.constants.append(number)
+        return self._known[key]
+
+    def result(self, made: _Made) -> _Value:
+        """Return the value of an instruction."""
+        self.made.append(made)
+        return _RESULT + len(self.made) - 1
+
+    def looked_up(self, made: _Made) -> _Value:
+        """Return the value of a look-up, which is carried out once."""
+        if made not in self._looked_up:
+            self._looked_up[made] = self.result(made)
+        return self._looked_up[made]
 
 
 _CONSTANT, _RESULT = 1 << 24, 1 << 28
@@ -174,6 +214,7 @@ def tape_of(
         code=np.array(code, dtype=np.int32).reshape(-1, 5),
         constants=np.array(formula.constants, dtype=np.float64),
         outputs=np.array([place[value] for value in formula.outputs], dtype=np.int32),
+        tables=tuple(one.numbers for one in formula.tables.values()),
     )
 
 
@@ -183,7 +224,7 @@ def _read(function: ca.Function, wanted: Sequence[tuple[int, int]] | None) -> _F
     formula = _Formula(offsets=[sum(sizes[:k]) for k in range(len(sizes))])
     work: dict[int, _Value] = {}
     found: dict[tuple[int, int], _Value] = {}
-    known: dict[str, _Value] = {}
+    nodes: Any = function.instructions_sx() if _calls(function) else []
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
         given, taken = function.instruction_input(k), function.instruction_output(k)
@@ -192,25 +233,81 @@ def _read(function: ca.Function, wanted: Sequence[tuple[int, int]] | None) -> _F
         elif operation == ca.OP_OUTPUT:
             found[taken[0], taken[1]] = work[given[0]]
         elif operation == ca.OP_CONST:
-            number = function.instruction_constant(k)
-            # By its digits: zero has two signs.
-            if number.hex() not in known:
-                known[number.hex()] = _CONSTANT + len(formula.constants)
-                formula.constants.append(number)
-            work[taken[0]] = known[number.hex()]
+            work[taken[0]] = formula.constant(function.instruction_constant(k))
+        elif operation == ca.OP_CALL:
+            values = _looked_up(formula, nodes[k], [work[place] for place in given], len(taken))
+            work.update(zip(taken, values, strict=True))
         else:
             if operation not in _NUMBERS:
                 raise UnknownOperationError(_NAMES.get(operation, f"number {operation}"))
             operands = [work[place] for place in given]
             made = (_NUMBERS[operation], operands[0], operands[-1], operands[0])
-            work[taken[0]] = _RESULT + len(formula.made)
-            formula.made.append(made)
+            work[taken[0]] = _unscaled(formula, made) or formula.result(made)
     chosen = wanted
     if chosen is None:
         sparsities = [function.numel_out(k) for k in range(function.n_out())]
         chosen = [(k, entry) for k, n in enumerate(sparsities) for entry in range(n)]
     formula.outputs = [found[place] for place in chosen]
     return formula
+
+
+def _calls(function: ca.Function) -> bool:
+    return any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions()))
+
+
+def _looked_up(
+    formula: _Formula, node: Any, operands: Sequence[_Value], n_outputs: int
+) -> list[_Value]:
+    """Return the results of a call, which is a look-up.
+
+    Raises:
+        UnknownOperationError: If it is none.
+    """
+    function, lookup = called(node)
+    if lookup is None:
+        raise UnknownOperationError(f"call of {function.name()}")
+    table = lookup.table
+    formula.tables.setdefault(table.digest, table)
+    which = list(formula.tables).index(table.digest)
+    if lookup.side is None:
+        index, cell = formula.constant(float(which)), operands[0]
+        places = [formula.constant(float(table.place_of(k))) for k in range(n_outputs)]
+        return [formula.looked_up((_PICK, cell, index, place)) for place in places]
+    code = formula.constant(float(len(Side) * which + lookup.side.value))
+    if len(operands) == 1:
+        return [formula.looked_up((_CELL, operands[0], code, operands[0]))]
+    return [formula.looked_up((_TURN, operands[0], operands[1], code))]
+
+
+def _unscaled(formula: _Formula, made: _Made) -> _Value | None:
+    """Return the look-up that an instruction gives anew, if it does so.
+
+    A whole number of a cell is its own floor, and a number that was scaled to be whole is the
+    number if it is scaled back.
+    """
+
+    def behind(value: _Value, operation: int) -> _Made | None:
+        found = formula.made[value - _RESULT] if value >= _RESULT else None
+        return found if found is not None and found[0] == operation else None
+
+    operation, first, last, _ = made
+    if operation == _FLOOR:
+        is_cell = behind(first, _CELL) is not None or behind(first, _TURN) is not None
+        return first if is_cell else None
+    if operation != _MULTIPLY:
+        return None
+    for factor, value in ((first, last), (last, first)):
+        floor = behind(value, _FLOOR)
+        product = None if floor is None else behind(floor[1], _MULTIPLY)
+        if product is None or not _CONSTANT <= factor < _RESULT:
+            continue
+        for scale, number in ((product[1], product[2]), (product[2], product[1])):
+            if not _CONSTANT <= scale < _RESULT or behind(number, _PICK) is None:
+                continue
+            scales = formula.constants[scale - _CONSTANT], formula.constants[factor - _CONSTANT]
+            if scales[0] * scales[1] == 1.0 and math.frexp(scales[0])[0] == 0.5:
+                return number
+    return None
 
 
 def _fused(formula: _Formula) -> _Formula:

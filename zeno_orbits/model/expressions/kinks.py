@@ -17,6 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from zeno_orbits.integrators.lookups import Lookup, Side, called
 from zeno_orbits.model.expressions.operations import operation_name, symbols_in
 
 _DEPTH = 32
@@ -55,6 +56,8 @@ _LARGEST = frozenset({ca.OP_FMIN, ca.OP_FMAX})
 _SIGNED = frozenset({ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN})
 _KINKS = frozenset({*_COMPARISONS, *_LARGEST, *_SIGNED, ca.OP_ATAN2})
 """Operations with a condition."""
+_PARITIES = (Side.EVEN, Side.ODD)
+"""Cells of a table on the two sides of its kink."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,7 @@ class _Value:
         is_partial: Whether the value may be undefined for some states.
         factors: Factors of a product, else empty.
         square: A base and a factor, if the value is the square of the base times the factor.
+        steps: Whether the value is constant between the knots of tables.
         reads: For the kinks whose condition may be undefined, 1 if the value depends on the side of
             the kink on this branch. A kink that is missing has no influence.
     """
@@ -84,6 +88,7 @@ class _Value:
     is_partial: bool = False
     factors: tuple[_Value, ...] = ()
     square: tuple[_Value, ...] = ()
+    steps: bool = False
     reads: Mapping[int, ca.SX] = field(default_factory=dict[int, ca.SX])
 
 
@@ -101,6 +106,7 @@ class _Walk:
         at_zero: For each of them, the side where it is zero on a whole branch.
         decided: Conditions that are known before the walk.
         roots: Bases that an event keeps from falling below zero, and the exponents of their powers.
+        cells: Look-ups so far with their arguments and cells.
     """
 
     states: ca.SX
@@ -111,6 +117,9 @@ class _Walk:
     at_zero: list[bool] = field(default_factory=list[bool])
     decided: Sequence[ca.SX] = ()
     roots: list[tuple[ca.SX, ca.SX]] = field(default_factory=list["tuple[ca.SX, ca.SX]"])
+    cells: list[tuple[Lookup, Sequence[_Value], _Value]] = field(
+        default_factory=list["tuple[Lookup, Sequence[_Value], _Value]"]
+    )
 
     def number(self, value: float) -> _Value:
         """Return a number."""
@@ -147,6 +156,7 @@ class _Walk:
             _result(operation, [one.smooth for one in parts]),
             slopes,
             varies=varies,
+            steps=varies and all(one.steps for one in parts if one.varies),
             quotient=(self.number(1.0), *parts) if operation == ca.OP_INV else quotient,
             is_partial=any(one.is_partial for one in parts)
             or (operation in _PARTIAL and parts[operation == ca.OP_DIV].varies),
@@ -266,7 +276,7 @@ class _Walk:
         Raises:
             ValueError: If the operation jumps without a condition, or is unknown.
         """
-        varies = any(one.varies for one in parts)
+        varies = any(one.varies and not one.steps for one in parts)
         if operation not in _SMOOTH | _JUMPS | _KINKS:
             raise ValueError(
                 f"Argument `model`: a formula holds the operation `{operation_name(operation)}`, "
@@ -280,9 +290,69 @@ class _Walk:
             return self._length(*parts)
         if operation in _KINKS and varies:
             return self._kinked(operation, parts)
-        if operation in _ROOTS and parts[0].varies:
+        if operation in _ROOTS and parts[0].varies and not parts[0].steps:
             return self._root(operation, parts)
         return self.made(operation, parts)
+
+    def looked_up(self, node: Any, parts: Sequence[_Value]) -> list[_Value]:
+        """Return the outputs of a look-up.
+
+        Raises:
+            ValueError: If a formula calls another function.
+        """
+        function, lookup = called(node)
+        if lookup is None:
+            raise ValueError(
+                f"Argument `model`: a formula calls the function `{function.name()}`, which has no "
+                "formula here: write it in `casadi.SX` operations."
+            )
+        if lookup.side is not None:
+            return [self._cell(lookup, parts)]
+        written, smooth = (
+            ca.vertsplit(ca.densify(function(one))) for one in (parts[0].written, parts[0].smooth)
+        )
+        return [
+            _Value(one, other, self._no_slopes(), varies=parts[0].varies, steps=parts[0].varies)
+            for one, other in zip(written, smooth, strict=True)
+        ]
+
+    def _cell(self, lookup: Lookup, parts: Sequence[_Value]) -> _Value:
+        """Return the cell of a value, the cells of even and odd indices on two sides of a kink."""
+        for known, values, cell in self.cells:
+            is_one = known.table is lookup.table and known.side is lookup.side
+            if is_one and all(map(_are_one, values, parts)):
+                return cell
+        varies, table = any(one.varies for one in parts), lookup.table
+        written, smooth = [one.written for one in parts], [one.smooth for one in parts]
+        cell = table.on_side(lookup.side or Side.ALL)(*written)
+        if not (varies and table.is_kinked and lookup.side is Side.ALL):
+            on_branch = table.on_side(lookup.side or Side.ALL)(*smooth)
+            found = _Value(cell, on_branch, self._no_slopes(), varies=varies, steps=varies)
+        else:
+            k = len(self.conditions)
+            side, (even, odd) = self.side_of(k), (table.on_side(one) for one in _PARITIES)
+            here = _picked(side, even(*smooth), odd(*smooth))
+            by_place = table.guard(here, smooth)
+            sign = _picked(side, ca.SX(1), ca.SX(-1))
+            slopes = self._no_slopes()
+            if self.has_slopes:
+                places = [ca.SX.sym("place") for _ in smooth]
+                by = ca.jacobian(table.guard(here, places), ca.vertcat(*places))
+                at: Any = ca.substitute(by, ca.vertcat(*places), ca.vertcat(*smooth))
+                slopes = sign * ca.mtimes(at, ca.vertcat(*(one.slopes for one in parts)))
+            self.conditions.append(
+                _Value(
+                    table.alternating(cell, written),
+                    sign * by_place,
+                    slopes,
+                    varies=True,
+                    is_partial=any(one.is_partial for one in parts),
+                )
+            )
+            self.at_zero.append(True)
+            found = _Value(cell, here, self._no_slopes(), varies=True, steps=True)
+        self.cells.append((lookup, parts, found))
+        return found
 
     def _root(self, operation: int, parts: Sequence[_Value]) -> _Value:
         """Return a power, with the size of its base if that is a square times a factor: a kink."""
@@ -439,6 +509,11 @@ class _Walk:
 
 def _are_equal(one: _Value, other: _Value) -> bool:
     return bool(ca.is_equal(one.written, other.written, _DEPTH))
+
+
+def _are_one(one: _Value, other: _Value) -> bool:
+    """Return True if two arguments of a table are one formula, which may be written twice."""
+    return _are_equal(one, other) or _factor(one.written, other.written) == 1.0
 
 
 def _picked(side: ca.SX, first: ca.SX, last: ca.SX) -> ca.SX:
@@ -710,7 +785,7 @@ def _walked(walk: _Walk, flat: Any) -> list[_Value]:
     symbols = symbols_in(flat)
     function: Any = ca.Function("formulas", symbols, [flat], {"cse": True})
     if _ROOTS & {function.instruction_id(k) for k in range(function.n_instructions())}:
-        first = replace(walk, sides=(), has_slopes=False, conditions=[], at_zero=[], roots=[])
+        first = replace(walk, sides=(), has_slopes=False, conditions=[], at_zero=[], roots=[], cells=[])
         _walked_through(first, function, symbols, flat.numel())
         walk.decided = tuple(one.written for one in first.conditions)
     return _walked_through(walk, function, symbols, flat.numel())
@@ -723,6 +798,7 @@ def _walked_through(
     work: dict[int, _Value] = {}
     entries = [walk.number(0.0)] * n_entries
     differentiated = _of_conditions(function) if walk.has_slopes else set[int]()
+    nodes: Any = function.instructions_sx()
     for k in range(function.n_instructions()):
         walk.has_slopes = k in differentiated
         operation = function.instruction_id(k)
@@ -733,6 +809,9 @@ def _walked_through(
             work[taken[0]] = walk.symbol(symbols[int(given[0])])
         elif operation == ca.OP_CONST:
             work[taken[0]] = walk.number(function.instruction_constant(k))
+        elif operation == ca.OP_CALL:
+            parts = [work[place] for place in given]
+            work.update(zip(taken, walk.looked_up(nodes[k], parts), strict=True))
         else:
             work[taken[0]] = walk.on_branch(operation, [work[place] for place in given])
     return entries
@@ -747,7 +826,7 @@ def _of_conditions(function: Any) -> set[int]:
         operation = function.instruction_id(k)
         takes = operation not in (ca.OP_INPUT, ca.OP_CONST)
         sources.append([last[place] for place in function.instruction_input(k)] if takes else [])
-        if operation in _KINKS | _BOUNDED | _ROOTS | {ca.OP_HYPOT}:
+        if operation in _KINKS | _BOUNDED | _ROOTS | {ca.OP_HYPOT, ca.OP_CALL}:
             needed.add(k)
         if operation != ca.OP_OUTPUT:
             last.update((place, k) for place in function.instruction_output(k))

@@ -8,13 +8,14 @@ refused by name.
 from __future__ import annotations
 
 import re
-from dataclasses import fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.lookups import lookup_of
 
 _SIGNS = {ca.OP_EQ: "==", ca.OP_NE: "!=", ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_DIV: "/"}
 _NAMES: dict[int, str] = {
@@ -63,7 +64,7 @@ def without_calls(formula: ca.SX) -> ca.SX:
     """
     if not _has_calls(formula):
         return formula
-    known: dict[int, ca.SX] = {}
+    known = _Known()
     entries = [_rebuilt(entry, known) for entry in _entries(formula)]
     return ca.SX(formula.sparsity(), ca.vertcat(*entries))
 
@@ -77,10 +78,10 @@ def expand_calls(declared: Any) -> None:
     Raises:
         ValueError: If a function cannot be expanded. The message names the function.
     """
-    for field in fields(declared):
-        formula = getattr(declared, field.name)
+    for one in fields(declared):
+        formula = getattr(declared, one.name)
         if isinstance(formula, ca.SX):
-            object.__setattr__(declared, field.name, without_calls(formula))
+            object.__setattr__(declared, one.name, without_calls(formula))
 
 
 def _entries(formula: Any) -> list[ca.SX]:
@@ -93,8 +94,22 @@ def _has_calls(formula: ca.SX) -> bool:
     return any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions()))
 
 
-def _rebuilt(formula: ca.SX, known: dict[int, ca.SX]) -> ca.SX:
-    """Return a scalar without calls. Nodes that were rebuilt before are in `known`."""
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """What was rebuilt before.
+
+    Attributes:
+        nodes: Formulas by the node that they replace.
+        calls: Outputs of a function by the call that they replace.
+    """
+
+    nodes: dict[int, ca.SX] = field(default_factory=dict[int, ca.SX])
+    calls: dict[int, list[ca.SX]] = field(default_factory=dict[int, "list[ca.SX]"])
+
+
+def _rebuilt(formula: ca.SX, memory: _Known) -> ca.SX:
+    """Return a scalar without calls."""
+    known = memory.nodes
     waiting: list[Any] = [formula]
     while waiting:
         node = waiting[-1]
@@ -104,7 +119,7 @@ def _rebuilt(formula: ca.SX, known: dict[int, ca.SX]) -> ca.SX:
         if key in known or not missing:
             waiting.pop()
         if key not in known and not missing:
-            known[key] = _node(node, [known[part.element_hash()] for part in parts])
+            known[key] = _node(node, [known[part.element_hash()] for part in parts], memory)
         waiting += missing
     return known[formula.element_hash()]
 
@@ -115,10 +130,13 @@ def _parts(node: Any) -> list[Any]:
     return [] if call.is_leaf() else [call.dep(k) for k in range(call.n_dep())]
 
 
-def _node(node: Any, parts: list[ca.SX]) -> ca.SX:
+def _node(node: Any, parts: list[ca.SX], memory: _Known) -> ca.SX:
     if node.is_output():
-        function: Any = node.dep(0).which_function()
-        return _called(function, parts)[int(node.which_output())]
+        call: Any = node.dep(0)
+        key = call.element_hash()
+        if key not in memory.calls:
+            memory.calls[key] = _called(call.which_function(), parts)
+        return memory.calls[key][int(node.which_output())]
     if node.is_leaf():
         return ca.SX(node)
     return ca.SX.unary(node.op(), *parts) if len(parts) == 1 else ca.SX.binary(node.op(), *parts)
@@ -131,6 +149,8 @@ def _called(function: Any, arguments: list[ca.SX]) -> list[ca.SX]:
         ValueError: If the function consists of other than scalar operations.
     """
     kind = function.class_name()
+    if lookup_of(function) is not None:
+        return _entries(ca.densify(function(*arguments)))
     if kind == "SXFunction":
         return _inlined(function, arguments)
     if kind == "LinearInterpolant" and len(arguments) == 1:
