@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, cast
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.integrators.lookups import CellTable, Lookup, called
+from zeno_orbits.integrators.lookups import CellTable, Lookup, called, may_be_merged
 
 WIDE = 1e300
 """Stands for a bound where none is known, as of a quotient by an interval around zero."""
@@ -85,7 +85,7 @@ def guard_bounds(watched: ca.Function) -> ca.Function:
     ends = [end for interval in found for end in interval]
     if len(found) == _WITHOUT_BEND:
         ends += [ca.SX(-WIDE), ca.SX(WIDE)]
-    return ca.Function(f"{watched.name()}_bounds", [box, p], [ca.vertcat(*ends)], {"cse": True})
+    return ca.Function(f"{watched.name()}_bounds", [box, p], [ca.vertcat(*ends)], {"cse": may_be_merged(ends)})
 
 
 _WITHOUT_BEND = 2

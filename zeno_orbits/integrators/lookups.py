@@ -119,14 +119,16 @@ class CellTable:
         Raises:
             ValueError: If the numbers are of too different sizes.
         """
-        entries = np.unique(np.abs(self.columns[self.columns != 0.0]))
+        entries = np.abs(self.columns[self.columns != 0.0])
         if not entries.size:
             return 0
-        lowest = min(_lowest_bit(one) for one in entries.tolist())
-        if math.frexp(float(entries[-1]))[1] - lowest > 1000:
+        wholes, exponents = np.frexp(entries)
+        bits = (wholes * 2.0**53).astype(np.int64)
+        lowest = int(np.min(exponents - 54 + np.frexp((bits & -bits).astype(np.float64))[1]))
+        if int(np.max(exponents)) - lowest > 1000:
             raise ValueError(
                 f"Argument `values` of {self.name} must be of comparable sizes, but the numbers of "
-                f"its cells reach from {entries[0]:.3g} to {entries[-1]:.3g}."
+                f"its cells reach from {np.min(entries):.3g} to {np.max(entries):.3g}."
             )
         return -lowest
 
@@ -237,13 +239,6 @@ class CellTable:
 _EXACT = {"lookup_mode": ["exact"]}
 
 
-def _lowest_bit(value: float) -> int:
-    """Return the exponent of the lowest bit of a number that is set."""
-    whole, exponent = math.frexp(value)
-    bits = int(whole * 2.0**53)
-    return exponent - 53 + ((bits & -bits).bit_length() - 1)
-
-
 _known: dict[str, tuple[Any, Lookup]] = {}
 
 
@@ -272,13 +267,15 @@ def called(node: Any) -> tuple[Any, Lookup | None]:
     return function, lookup_of(function)
 
 
-def has_lookups(formulas: Sequence[ca.SX]) -> list[Lookup]:
+def lookups_in(formulas: Sequence[ca.SX]) -> list[Lookup]:
     """Return the look-ups in formulas.
 
     Args:
         formulas: The formulas.
     """
-    flat: Any = ca.veccat(*formulas)
+    if not _known:
+        return []
+    flat: Any = ca.SX(ca.veccat(*formulas))
     function: Any = ca.Function("formulas", ca.symvar(flat), [flat])
     made = function.instructions_sx()
     found = [
@@ -287,3 +284,12 @@ def has_lookups(formulas: Sequence[ca.SX]) -> list[Lookup]:
         if function.instruction_id(k) == ca.OP_CALL
     ]
     return [one for one in found if one is not None]
+
+
+def may_be_merged(formulas: Sequence[ca.SX]) -> bool:
+    """Return True if CasADi finds common parts of formulas fast: not around a call of a table.
+
+    Args:
+        formulas: The formulas.
+    """
+    return not lookups_in(formulas)

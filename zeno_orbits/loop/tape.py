@@ -144,7 +144,7 @@ class _Formula:
     outputs: list[_Value] = field(default_factory=list[int])
     tables: dict[str, CellTable] = field(default_factory=dict[str, CellTable])
     _known: dict[str, _Value] = field(default_factory=dict[str, int])
-    _looked_up: dict[_Made, _Value] = field(default_factory=dict[tuple[int, int, int, int], int])
+    _once: dict[_Made, _Value] = field(default_factory=dict[tuple[int, int, int, int], int])
 
     def constant(self, number: float) -> _Value:
         """Return the value of a number, which is kept once."""
@@ -160,11 +160,11 @@ class _Formula:
         self.made.append(made)
         return _RESULT + len(self.made) - 1
 
-    def looked_up(self, made: _Made) -> _Value:
-        """Return the value of a look-up, which is carried out once."""
-        if made not in self._looked_up:
-            self._looked_up[made] = self.result(made)
-        return self._looked_up[made]
+    def result_once(self, made: _Made) -> _Value:
+        """Return the value of an instruction that may have been made before."""
+        if made not in self._once:
+            self._once[made] = self.result(made)
+        return self._once[made]
 
 
 _CONSTANT, _RESULT = 1 << 24, 1 << 28
@@ -224,7 +224,10 @@ def _read(function: ca.Function, wanted: Sequence[tuple[int, int]] | None) -> _F
     formula = _Formula(offsets=[sum(sizes[:k]) for k in range(len(sizes))])
     work: dict[int, _Value] = {}
     found: dict[tuple[int, int], _Value] = {}
-    nodes: Any = function.instructions_sx() if _calls(function) else []
+    has_calls = _calls(function)
+    nodes: Any = function.instructions_sx() if has_calls else []
+    # CasADi has merged equal instructions of a function without calls.
+    add = formula.result_once if has_calls else formula.result
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
         given, taken = function.instruction_input(k), function.instruction_output(k)
@@ -242,7 +245,7 @@ def _read(function: ca.Function, wanted: Sequence[tuple[int, int]] | None) -> _F
                 raise UnknownOperationError(_NAMES.get(operation, f"number {operation}"))
             operands = [work[place] for place in given]
             made = (_NUMBERS[operation], operands[0], operands[-1], operands[0])
-            work[taken[0]] = _unscaled(formula, made) or formula.result(made)
+            work[taken[0]] = (has_calls and _unscaled(formula, made)) or add(made)
     chosen = wanted
     if chosen is None:
         sparsities = [function.numel_out(k) for k in range(function.n_out())]
@@ -272,11 +275,11 @@ def _looked_up(
     if lookup.side is None:
         index, cell = formula.constant(float(which)), operands[0]
         places = [formula.constant(float(table.place_of(k))) for k in range(n_outputs)]
-        return [formula.looked_up((_PICK, cell, index, place)) for place in places]
+        return [formula.result_once((_PICK, cell, index, place)) for place in places]
     code = formula.constant(float(len(Side) * which + lookup.side.value))
     if len(operands) == 1:
-        return [formula.looked_up((_CELL, operands[0], code, operands[0]))]
-    return [formula.looked_up((_TURN, operands[0], operands[1], code))]
+        return [formula.result_once((_CELL, operands[0], code, operands[0]))]
+    return [formula.result_once((_TURN, operands[0], operands[1], code))]
 
 
 def _unscaled(formula: _Formula, made: _Made) -> _Value | None:

@@ -1,4 +1,4 @@
-r"""Periodic forcing: time acts on a mechanism through a point on the unit circle (theory (1.9)).
+r"""Forcing: time acts on a mechanism through a point on the unit circle (theory (1.9)), or itself.
 
 A forced problem is autonomous: its clock is the state :math:`(\cos\omega t, \sin\omega t)`. So an
 orbit closes when the clock does, after a whole number of periods of the clock, and time need not be
@@ -8,7 +8,7 @@ wrapped.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 
@@ -67,3 +67,33 @@ class Clock(Checked):
     def off_circle(self) -> ca.SX:
         """Zero on admissible states. The flow preserves it."""
         return (self.cosine**2 + self.sine**2 - 1) / 2
+
+
+def _new_time() -> ca.SX:
+    return ca.SX.sym("time")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Time(Checked):
+    r"""Time as one state that does not turn: a clock of transients.
+
+    .. math:: \dot t = 1
+
+    Steps, pulses, ramps and records at given times are formulas of it. A motion under it never
+    repeats, so a search for periodic orbits and a map refuse it.
+
+    Attributes:
+        state: The time since the start of the clock [s], a new symbol by default.
+    """
+
+    state: ca.SX = field(default_factory=_new_time)
+
+    @property
+    def rate(self) -> ca.SX:
+        """The time derivative of the state, 1."""
+        return ca.SX(1)
+
+    @property
+    def off_circle(self) -> ca.SX:
+        """No condition: every time is admissible, ``(0,)``."""
+        return ca.SX(0, 1)

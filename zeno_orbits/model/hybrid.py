@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import casadi as ca
 import numpy as np
 
+from zeno_orbits.model.clock import Clock, Time
 from zeno_orbits.model.contact import (
     SLOWEST,
     ContactQuantities,
@@ -119,11 +120,16 @@ class CompletedSystem:
 
     @property
     def clock(self) -> tuple[int, ...]:
-        """Indices of the clock in the state, empty for an unforced problem."""
-        if self.mechanism.clock is None:
+        """Indices of the clock in the state, empty for a problem without a clock that turns."""
+        if not isinstance(self.mechanism.clock, Clock):
             return ()
         first = 2 * self.n_q + self.drive.states.numel()
         return tuple(range(first, first + self.mechanism.clock.state.numel()))
+
+    @property
+    def has_time(self) -> bool:
+        """True if a clock does not turn, so no motion repeats."""
+        return isinstance(self.mechanism.clock, Time)
 
     @property
     def further(self) -> tuple[int, ...]:

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.model.clock import Clock
+from zeno_orbits.model.clock import Clock, Time
 from zeno_orbits.model.expressions.operations import without_calls
 from zeno_orbits.model.stops import ABSENT, Stop
 from zeno_orbits.work import checked
@@ -40,7 +40,8 @@ class HybridLagrangian:
         holonomic: :math:`\eta(q)`, ``(n_eta,)``. The motion satisfies :math:`\eta = 0` (paper eq.
             6).
         applied_force: External forces, as functions of ``(q, v)`` and the clock, ``(n_q,)``.
-        clock: Clock of the external forces, or ``None`` without time-dependent forces.
+        clock: Clock or `Time` of the external forces, or ``None`` without forces that change with
+            time.
         stops: The stops with names, each with its restitution, or empty.
     """
 
@@ -53,7 +54,7 @@ class HybridLagrangian:
     passive_force: ca.SX
     holonomic: ca.SX
     applied_force: ca.SX
-    clock: Clock | None = None
+    clock: Clock | Time | None = None
     stops: tuple[Stop, ...] = ()
 
     @property
@@ -74,7 +75,7 @@ class HybridLagrangian:
         passive_force: ca.SX | None = None,
         holonomic: ca.SX | None = None,
         applied_force: ca.SX | None = None,
-        clock: Clock | None = None,
+        clock: Clock | Time | None = None,
         stops: Sequence[Stop] = (),
     ) -> HybridLagrangian:
         r"""Derive the equations of motion of :math:`L = T - U`.
@@ -164,7 +165,7 @@ class HybridLagrangian:
         potential: ca.SX | None = None,
         holonomic: ca.SX | None = None,
         applied_force: ca.SX | None = None,
-        clock: Clock | None = None,
+        clock: Clock | Time | None = None,
         stops: Sequence[Stop] = (),
     ) -> HybridLagrangian:
         r"""Use the matrices of :math:`M(q)\,\dot v + C(q, v)\,v + N(q, v) = F` as given.
@@ -320,7 +321,7 @@ def _require_shapes(q: ca.SX, **vectors: ca.SX) -> None:
             raise ValueError(message)
 
 
-def _require_timeless(clock: Clock, **expressions: ca.SX) -> None:
+def _require_timeless(clock: Clock | Time, **expressions: ca.SX) -> None:
     """Reject time dependence of expressions that are derived as time independent."""
     for name, expression in expressions.items():
         if ca.depends_on(expression, clock.state):

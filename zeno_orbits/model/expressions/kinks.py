@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.integrators.lookups import Lookup, Side, called
+from zeno_orbits.integrators.lookups import Lookup, Side, called, may_be_merged
 from zeno_orbits.model.expressions.operations import operation_name, symbols_in
 
 _DEPTH = 32
@@ -783,7 +783,7 @@ def sided(
 def _walked(walk: _Walk, flat: Any) -> list[_Value]:
     """Return the entries of a formula, ``(n,)``."""
     symbols = symbols_in(flat)
-    function: Any = ca.Function("formulas", symbols, [flat], {"cse": True})
+    function: Any = ca.Function("formulas", symbols, [flat], {"cse": may_be_merged([flat])})
     if _ROOTS & {function.instruction_id(k) for k in range(function.n_instructions())}:
         first = replace(walk, sides=(), has_slopes=False, conditions=[], at_zero=[], roots=[], cells=[])
         _walked_through(first, function, symbols, flat.numel())

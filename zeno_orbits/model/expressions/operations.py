@@ -7,15 +7,14 @@ refused by name.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.lookups import lookup_of
+from zeno_orbits.model.expressions.tables import of_interpolant
 
 _SIGNS = {ca.OP_EQ: "==", ca.OP_NE: "!=", ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_DIV: "/"}
 _NAMES: dict[int, str] = {
@@ -23,14 +22,6 @@ _NAMES: dict[int, str] = {
     for name in dir(ca)
     if name.startswith("OP_")
 } | _SIGNS
-
-_TABLE = re.compile(
-    r"casadi_interpn\(res\[0\], 1, (?P<knots>\w+), \w+, (?P<values>\w+), arg\[0\], \w+, (?P<m>\d+),"
-)
-"""Use of a table with one argument in CasADi's C code."""
-_EXACT = 1e-12
-"""Relative difference between a table and its formula that is rounding."""
-
 
 def operation_name(operation: int) -> str:
     """Return the name of an operation of CasADi for a message.
@@ -53,8 +44,8 @@ def symbols_in(formula: ca.SX) -> list[ca.SX]:
 def without_calls(formula: ca.SX) -> ca.SX:
     """Return a formula with the calls of functions in it as formulas.
 
-    A call of a function of scalar operations is inlined. A linear `casadi.interpolant` with one
-    argument becomes its straight lines, with a kink at every inner knot.
+    A call of a function of scalar operations is inlined. A `casadi.interpolant` of one or two
+    arguments becomes a table.
 
     Args:
         formula: The formula.
@@ -153,14 +144,11 @@ def _called(function: Any, arguments: list[ca.SX]) -> list[ca.SX]:
         return _entries(ca.densify(function(*arguments)))
     if kind == "SXFunction":
         return _inlined(function, arguments)
-    if kind == "LinearInterpolant" and len(arguments) == 1:
-        return _lines(function, arguments[0])
-    remedy = "write it in `casadi.SX` operations"
-    if "Interpolant" in kind:
-        remedy = "use a linear table of one argument, `casadi.interpolant` or `casadi.pw_lin`"
+    if kind in ("LinearInterpolant", "BSplineInterpolant"):
+        return of_interpolant(function, arguments)
     raise ValueError(
         f"Argument `model`: a formula calls the function `{function.name()}` ({kind}), which has "
-        f"no formula here: {remedy}."
+        "no formula here: write it in `casadi.SX` operations."
     )
 
 
@@ -185,54 +173,3 @@ def _inlined(function: Any, arguments: list[ca.SX]) -> list[ca.SX]:
             work[taken[0]] = made[k]
     found: Any = ca.substitute(ca.vertcat(*outputs), inputs, ca.vertcat(*arguments))
     return _entries(without_calls(found)) if outputs else []
-
-
-def _lines(table: Any, argument: ca.SX) -> list[ca.SX]:
-    """Return a linear table as straight lines, extended beyond its ends.
-
-    Raises:
-        ValueError: If the lines differ from the table.
-    """
-    knots, values = _table_of(table)
-    slopes: Vector = np.diff(values, axis=0) / np.diff(knots)[:, None]
-    x = ca.SX.sym("x")
-    found: list[ca.SX] = []
-    starts: list[float] = knots.tolist()
-    for row, rises in zip(values.T, slopes.T, strict=True):
-        lines: list[ca.SX] = [
-            float(value) + float(rise) * (x - knot)
-            for value, rise, knot in zip(row, rises, starts, strict=False)
-        ]
-        value = lines[0]
-        for knot, line in zip(starts[1:-1], lines[1:], strict=True):
-            value = ca.if_else(x < knot, value, line)
-        found.append(value)
-    lines_at: Any = ca.Function("lines", [x], [ca.vertcat(*found)])
-    middles = (knots[1:] + knots[:-1]) / 2
-    for at in (2 * knots[0] - middles[0], *middles, 2 * knots[-1] - middles[-1]):
-        differences = np.abs(lines_at(at).full() - table(at).full())
-        if np.max(differences) > _EXACT * np.max(np.abs(values)):
-            raise ValueError(f"The formula of the table `{table.name()}` differs from it at {at}.")
-    return _entries(lines_at(argument))
-
-
-def _table_of(table: Any) -> tuple[Vector, Vector]:
-    """Return knots, ``(n,)``, and values, ``(n, m)``, of a linear table, from its C code."""
-    generator = ca.CodeGenerator("table")
-    generator.add(table)
-    text = generator.dump()
-    used = _TABLE.search(text)
-    if used is None:
-        raise ValueError(
-            f"Argument `model`: a formula calls the table `{table.name()}`, whose knots are "
-            "unknown: use `casadi.pw_lin`."
-        )
-    knots, values = (_array(text, used[name]) for name in ("knots", "values"))
-    return knots, values.reshape(knots.size, int(used["m"]))
-
-
-def _array(text: str, name: str) -> Vector:
-    """Return an array of C code."""
-    entries = re.search(rf"casadi_real {name}\[\d+\] =\s*{{(.*?)}};", text, re.DOTALL)
-    numbers = "" if entries is None else entries[1]
-    return np.array([float(number) for number in numbers.split(",")])

@@ -8,29 +8,29 @@ are the cells of even and of odd index.
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from itertools import pairwise, product
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import BSpline, CubicSpline, PchipInterpolator
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.lookups import CellTable
 from zeno_orbits.work import checked
-
-Kind = Literal["linear", "cubic", "monotone"]
-Outside = Literal["refuse", "hold", "extend"]
-Numbers = Sequence[float] | Vector | ca.SX | Sequence[ca.SX | float]
 
 _KINDS, _OUTSIDE = ("linear", "cubic", "monotone"), ("refuse", "hold", "extend")
 _LEAST = {"linear": 2, "cubic": 4, "monotone": 2}
 """Number of knots that a kind needs."""
 _MOST_PARAMETERS = 64
 """Number of values up to which they may be formulas of parameters."""
-_POINTS, _SAME = 5, 1e-12
-"""Points at which the shape of knots is compared, and the relative rounding there."""
+_POINTS, _SAME, _COMPARED = 5, 1e-12, 50
+"""Points at which the shape of knots is compared, the relative rounding there, and the number of
+points along an argument at which a table of CasADi is compared."""
 
 
 @checked
@@ -82,12 +82,12 @@ def table(
         raise ValueError("Argument `knots` must be a pair for a table of two arguments.")
     placed = [_numeric_axis(at, axis, kind) for at, axis in zip(arguments, axes, strict=True)]
     if pair:
-        return _surface(placed, _numbers(values, "values", 2), kind, outside, name)
+        return _surface(placed, numbers_in(values, "values", 2), kind, outside, name)
     (argument,) = placed
     formulas = _formulas(values)
     if formulas is not None:
         return _of_parameters(argument, formulas, kind, outside, name)
-    return _curve(argument, _numbers(values, "values", 1), kind, outside, name)
+    return _curve(argument, numbers_in(values, "values", 1), kind, outside, name)
 
 
 def _require_choice(what: str, given: str, choices: Sequence[str]) -> None:
@@ -115,7 +115,7 @@ def _formulas(given: Any) -> list[ca.SX] | None:
     return None if all(one.is_constant() for one in formulas) else formulas
 
 
-def _numbers(given: Any, what: str, dimension: int) -> Vector:
+def numbers_in(given: Any, what: str, dimension: int) -> Vector:
     """Return finite numbers in an array."""
     try:
         plain = given
@@ -152,7 +152,7 @@ def _numeric_axis(x: ca.SX, knots: Any, kind: str) -> _Axis:
         first, last = formulas[0], formulas[-1]
         shape = _shape_of(formulas)
         return _increasing(_Axis((x - first) / (last - first), shape), kind)
-    return _increasing(_Axis(x, _numbers(knots, "knots", 1)), kind)
+    return _increasing(_Axis(x, numbers_in(knots, "knots", 1)), kind)
 
 
 def _increasing(axis: _Axis, kind: str) -> _Axis:
@@ -228,7 +228,7 @@ def _require_fit(n_values: int, n_knots: int, what: str = "") -> None:
         )
 
 
-def _held(axis: _Axis, outside: str, is_kinked: bool) -> tuple[ca.SX, Vector, bool]:
+def _held(axis: _Axis, outside: str, *, is_kinked: bool) -> tuple[ca.SX, Vector, bool]:
     """Return the argument of a table, its knots, and whether it has constant outer cells.
 
     A smooth table is held by its argument, which has two kinks.
@@ -245,8 +245,8 @@ def _held(axis: _Axis, outside: str, is_kinked: bool) -> tuple[ca.SX, Vector, bo
 def _curve(axis: _Axis, values: Vector, kind: str, outside: str, name: str) -> ca.SX:
     """Return a table of one argument."""
     _require_fit(len(values), len(axis.knots))
-    coefficients = _cells(axis.knots, values, kind)
-    return _polynomials(axis, coefficients[:, :, None], kind, outside, name)[0]
+    coefficients = _cells(axis.knots, values, kind)[:, :, None]
+    return _polynomials(axis, coefficients, outside, name, is_kinked=kind != "cubic")[0]
 
 
 def _of_parameters(
@@ -260,15 +260,15 @@ def _of_parameters(
         )
     _require_fit(len(values), len(axis.knots))
     coefficients = _cells(axis.knots, np.eye(len(values)), kind)
-    parts = _polynomials(axis, coefficients, kind, outside, name)
+    parts = _polynomials(axis, coefficients, outside, name, is_kinked=kind != "cubic")
     return ca.dot(ca.vertcat(*values), ca.vertcat(*parts))
 
 
 def _polynomials(
-    axis: _Axis, coefficients: Vector, kind: str, outside: str, name: str
+    axis: _Axis, coefficients: Vector, outside: str, name: str, *, is_kinked: bool
 ) -> list[ca.SX]:
     """Return functions by the coefficients of their cells, ``(k, n, m)``."""
-    x, knots, is_held = _held(axis, outside, kind != "cubic")
+    x, knots, is_held = _held(axis, outside, is_kinked=is_kinked)
     if is_held:
         width = knots[-2] - knots[-3]
         powers = width ** np.arange(len(coefficients))
@@ -281,15 +281,15 @@ def _polynomials(
         name=f"the table `{name}`",
         knots=knots,
         columns=np.vstack([_borders(knots), rows]),
-        is_kinked=kind != "cubic",
+        is_kinked=is_kinked,
         refuses=outside == "refuse",
     )
     found = cells.numbers_of(cells.cell(x))
     u, n = x - found[0], len(coefficients)
-    return [_horner(found[4 + k * n : 4 + (k + 1) * n], u) for k in range(coefficients.shape[2])]
+    return [horner(found[4 + k * n : 4 + (k + 1) * n], u) for k in range(coefficients.shape[2])]
 
 
-def _horner(coefficients: Sequence[ca.SX], u: ca.SX) -> ca.SX:
+def horner(coefficients: Sequence[ca.SX], u: ca.SX) -> ca.SX:
     value = coefficients[-1]
     for one in reversed(coefficients[:-1]):
         value = one + u * value
@@ -306,27 +306,167 @@ def _surface(axes: Sequence[_Axis], values: Vector, kind: str, outside: str, nam
         raise ValueError("Argument `kind` of a table of two arguments must be 'linear' or 'cubic'.")
     for k, (axis, n) in enumerate(zip(axes, values.shape, strict=True)):
         _require_fit(n, len(axis.knots), f" along argument {k + 1}")
-    held = [_held(axis, outside, kind == "linear") for axis in axes]
-    if held[0][2]:
+    is_kinked = kind == "linear"
+    if outside == "hold" and is_kinked:
         values = np.pad(values, 1, mode="edge")
-    knots = [one[1] for one in held]
-    along = np.moveaxis(_cells(knots[0], values, kind), 2, 0)
-    every = np.transpose(_cells(knots[1], along, kind), (2, 0, 3, 1))
+    held = [_held(axis, outside, is_kinked=is_kinked)[:2] for axis in axes]
+    along = np.moveaxis(_cells(held[0][1], values, kind), 2, 0)
+    every = np.transpose(_cells(held[1][1], along, kind), (2, 0, 3, 1))
+    return _patches(held, every, name, refuses=outside == "refuse", is_kinked=is_kinked)
+
+
+def _patches(
+    axes: Sequence[tuple[ca.SX, Vector]],
+    coefficients: Vector,
+    name: str,
+    *,
+    refuses: bool,
+    is_kinked: bool,
+) -> ca.SX:
+    """Return a function of two arguments by the coefficients of its cells.
+
+    Args:
+        axes: Both arguments with their knots.
+        coefficients: Coefficients by the powers of both arguments and by the cells, ``(k, l, n,
+            m)``.
+        name: Name of the table.
+        refuses: Whether the function has no value beyond the knots.
+        is_kinked: Whether knots are events.
+    """
     ways: list[ca.SX] = []
     cells: list[ca.SX] = []
-    for k, (x, places, _) in enumerate(held):
+    for k, (x, knots) in enumerate(axes):
         one = CellTable(
             name=f"argument {k + 1} of the table `{name}`",
-            knots=places,
-            columns=_borders(places),
-            is_kinked=kind == "linear",
-            refuses=outside == "refuse",
+            knots=knots,
+            columns=_borders(knots),
+            is_kinked=is_kinked,
+            refuses=refuses,
         )
         cells.append(one.cell(x))
         ways.append(x - one.numbers_of(cells[-1])[0])
-    order, across = len(every), len(knots[1]) - 1
-    columns = every.reshape(order**2, -1)
+    order, across = coefficients.shape[:2], coefficients.shape[3]
+    columns = coefficients.reshape(order[0] * order[1], -1)
     data = CellTable(name=f"the table `{name}`", knots=np.zeros(0), columns=columns)
     numbers = data.numbers_of(cells[0] * across + cells[1])
-    inner = [_horner(numbers[i * order : (i + 1) * order], ways[1]) for i in range(order)]
-    return _horner(inner, ways[0])
+    rows = [numbers[i * order[1] : (i + 1) * order[1]] for i in range(order[0])]
+    return horner([horner(row, ways[1]) for row in rows], ways[0])
+
+
+# Tables of CasADi.
+
+_LINEAR = re.compile(
+    r"casadi_interpn\(res\[0\], (?P<n>[12]), (?P<knots>\w+), (?P<offsets>\w+), (?P<values>\w+), "
+    r"arg\[0\], \w+, (?P<m>\d+),"
+)
+_SPLINE = re.compile(
+    r"nd_boor_eval\)?\(\S+?,(?P<n>[12]),(?P<knots>\w+),(?P<offsets>\w+),(?P<degrees>\w+),\w+,"
+    r"(?P<values>\w+),(?P<m>\d+),"
+)
+"""Use of a table in CasADi's C code."""
+
+
+def of_interpolant(table: Any, arguments: Sequence[ca.SX]) -> list[ca.SX]:
+    """Return a `casadi.interpolant` as a table.
+
+    A linear table goes on beyond its knots. A spline, which jumps to zero there, refuses.
+
+    Args:
+        table: The interpolant, linear or a spline, of one or two arguments.
+        arguments: Its arguments.
+
+    Raises:
+        ValueError: If its knots are unknown, it has more arguments, or it differs from the table.
+    """
+    generator = ca.CodeGenerator("table")
+    generator.add(table)
+    text = generator.dump()
+    is_spline = table.class_name() == "BSplineInterpolant"
+    used = (_SPLINE if is_spline else _LINEAR).search(text)
+    if used is None or int(used["n"]) != len(arguments) or "1" not in (used["n"], used["m"]):
+        raise ValueError(
+            f"Argument `model`: a formula calls the table `{table.name()}`, whose knots are "
+            "unknown here: use `zo.table`, of one or two arguments."
+        )
+    offsets = _whole(text, used["offsets"])
+    places = [_array(text, used["knots"])[a:b] for a, b in pairwise(offsets)]
+    degrees = _whole(text, used["degrees"]) if is_spline else [1] * len(places)
+    if not is_spline:
+        # A line is a spline of degree one, whose first and last knots count twice.
+        places = [np.concatenate([one[:1], one, one[-1:]]) for one in places]
+    m, shape = int(used["m"]), [len(one) - d - 1 for one, d in zip(places, degrees, strict=True)]
+    values = _array(text, used["values"]).reshape(*shape[::-1], m)
+    outside = "refuse" if is_spline else "extend"
+    formulas = _of_splines(arguments, places, degrees, values, outside, table.name())
+    _require_same(table, arguments, formulas, [np.unique(one) for one in places])
+    return formulas
+
+
+def _of_splines(
+    arguments: Sequence[ca.SX],
+    places: Sequence[Vector],
+    degrees: Sequence[int],
+    values: Vector,
+    outside: str,
+    name: str,
+) -> list[ca.SX]:
+    """Return splines by their coefficients, ``(n, m)`` or ``(n_2, n_1, 1)``.
+
+    Raises:
+        ValueError: If a degree is zero, or the degrees differ in smoothness.
+    """
+    if min(degrees) < 1 or len({degree < 3 for degree in degrees}) > 1:
+        raise ValueError(
+            f"Argument `model`: a formula calls the table `{name}`, whose degrees {degrees} have "
+            "no table here: use degree 1 or 3."
+        )
+    is_kinked = degrees[0] < 3
+    if len(arguments) == 1:
+        knots, coefficients = _pieces(places[0], values, degrees[0])
+        axis = _Axis(arguments[0], knots)
+        return _polynomials(axis, coefficients, outside, name, is_kinked=is_kinked)
+    first, along = _pieces(places[0], np.moveaxis(values[:, :, 0], 0, 1), degrees[0])
+    second, every = _pieces(places[1], np.moveaxis(along, 2, 0), degrees[1])
+    axes = list(zip(arguments, (first, second), strict=True))
+    patches = np.transpose(every, (2, 0, 3, 1))
+    refuses = outside == "refuse"
+    return [_patches(axes, patches, name, refuses=refuses, is_kinked=is_kinked)]
+
+
+def _pieces(places: Vector, values: Vector, degree: int) -> tuple[Vector, Vector]:
+    """Return the knots of a spline and the coefficients of its cells, ``(degree + 1, n, ...)``."""
+    made, knots = BSpline(places, values, degree), np.unique(places)
+    parts = [made(knots[:-1], nu=k) / math.factorial(k) for k in range(degree + 1)]
+    return knots, np.stack(parts)
+
+
+def _require_same(
+    table: Any, arguments: Sequence[ca.SX], formulas: Sequence[ca.SX], knots: Sequence[Vector]
+) -> None:
+    """Refuse formulas that differ from a table at the middle of a cell.
+
+    Raises:
+        ValueError: If they differ.
+    """
+    symbols = [ca.SX.sym("x") for _ in arguments]
+    given, every = ca.vertcat(*arguments), ca.vertcat(*formulas)
+    replaced: Any = ca.substitute(every, given, ca.vertcat(*symbols))
+    made: Any = ca.Function("made", [ca.vertcat(*symbols)], [replaced])
+    middles = [(one[1:] + one[:-1]) / 2 for one in knots]
+    picked = [one[:: max(1, len(one) // _COMPARED)] for one in middles]
+    for at in map(list, product(*picked)):
+        found, expected = made(at).full(), table(at).full().reshape(-1, 1)
+        if np.max(np.abs(found - expected)) > _SAME * (1.0 + np.max(np.abs(expected))):
+            raise ValueError(f"The formula of the table `{table.name()}` differs from it at {at}.")
+
+
+def _array(text: str, name: str) -> Vector:
+    """Return an array of numbers of C code."""
+    entries = re.search(rf"casadi_real {name}\[\d+\] =\s*{{(.*?)}};", text, re.DOTALL)
+    return np.array([float(one) for one in ("" if entries is None else entries[1]).split(",")])
+
+
+def _whole(text: str, name: str) -> list[int]:
+    """Return an array of whole numbers of C code."""
+    entries = re.search(rf"casadi_int {name}\[\d+\] = {{(.*?)}};", text, re.DOTALL)
+    return [int(one) for one in ("" if entries is None else entries[1]).split(",")]

@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.lookups import may_be_merged
 from zeno_orbits.integrators import (
     FIRST_ITERATIONS,
     JUMPS,
@@ -225,7 +226,7 @@ def dense_function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.F
     Raises:
         ValueError: If an output depends on a symbol that is not an input.
     """
-    options = {"cse": True, "allow_free": True}
+    options = {"cse": may_be_merged(outputs), "allow_free": True}
     function = ca.Function(name, inputs, [ca.densify(output) for output in outputs], options)
     if function.has_free():
         wanted = "must depend on its state and named parameters only"
