@@ -60,6 +60,7 @@ from .experiment.identification.identification import Identification as Identifi
 from .experiment.recordings.columns import ColumnNotes as ColumnNotes
 from .experiment.recordings.recording import Recording as Recording
 from .experiment.recordings.recording import read_recording as read_recording
+from .experiment.recordings.records import read_record as read_record
 from .experiment.recordings.recording import write_recording as write_recording
 from .experiment.rig.run import RigRun as RigRun
 from .experiment.rig.run import RigSettings as RigSettings
@@ -80,6 +81,7 @@ from .model.drives.holds import Hold as Hold
 from .model.drives.circuits import Circuit as Circuit
 from .model.drives.circuits import circuit_drive as circuit_drive
 from .model.clock import Clock as Clock
+from .model.clock import Time as Time
 from .model.drawing import Drawing as Drawing
 from .model.drives.drives import corrected_drive as corrected_drive
 from .model.drives.drives import full_drive as full_drive
@@ -107,8 +109,11 @@ from .model.rig_parts import Sensors as Sensors
 from .model.rig_parts import PwmSettings as PwmSettings
 from .model.stops import Stop as Stop
 from .model.stops import Switch as Switch
+from .model.drives.records import Record as Record
+from .model.drives.records import record as record
 from .model.drives.waveforms import harmonics as harmonics
 from .model.drives.waveforms import piecewise as piecewise
+from .model.expressions.tables import table as table
 from .orbits.bounds import Bound as Bound
 from .orbits.orbit_file import read_orbit as read_orbit
 from .orbits.orbit_file import write_orbit as write_orbit
@@ -220,6 +225,7 @@ __all__ = [
     "Pushes",
     "PwmSettings",
     "Quantity",
+    "Record",
     "Recording",
     "Recovery",
     "RecoverySettings",
@@ -247,6 +253,7 @@ __all__ = [
     "SwitchingTimesError",
     "TargetAmplitude",
     "TargetPeriod",
+    "Time",
     "TransientComparison",
     "TransientFit",
     "Truncation",
@@ -297,7 +304,9 @@ __all__ = [
     "prove",
     "quasi_static_drive",
     "read_orbit",
+    "read_record",
     "read_recording",
+    "record",
     "recovery",
     "reduced_model_errors",
     "report_page",
@@ -315,6 +324,7 @@ __all__ = [
     "simulate_to_accuracy",
     "simulate_with_error",
     "stabilize",
+    "table",
     "verify",
     "with_certificate",
     "work_precision",

@@ -265,6 +265,21 @@ def known_problem(problem: Named) -> Problem:
     return problem if isinstance(problem, Problem) else locate_problem(problem).load()
 
 
+def repeating_problem(problem: Named) -> Problem:
+    """Return a problem whose motion may repeat, given as for `known_problem`.
+
+    Raises:
+        InputError: If the problem has a `zo.Time`.
+    """
+    known = known_problem(problem)
+    if known.has_time:
+        raise InputError(
+            f"Argument `problem`: no motion of `{known.name}` repeats, because its clock is a "
+            "`zo.Time`: simulate it, or give it a `zo.Clock`."
+        )
+    return known
+
+
 def file_of(problem: Named) -> ProblemFile:
     """Return the problem's file, which workers load themselves.
 

@@ -14,7 +14,7 @@ from zeno_orbits.api.inputs import (
     as_orbit,
     file_of,
     front_door,
-    known_problem,
+    repeating_problem,
     plan_of,
     whole,
 )
@@ -141,7 +141,7 @@ def search_gains(
     from zeno_orbits.search import SearchSettings as Settings
     from zeno_orbits.search import search
 
-    known = _with_one_stop(known_problem(problem))
+    known = _with_one_stop(repeating_problem(problem))
     orbit = None if near is None else _near(near, known)
     shared = plan_of(workers, plan)
     spread = None
@@ -213,7 +213,7 @@ def find_event_orbit(
     from zeno_orbits.search import settled_event_orbit as find
     from zeno_orbits.verification import verify, with_certificate
 
-    known = known_problem(problem)
+    known = repeating_problem(problem)
     begin = None if near is None else _near_events(near, known)
     orbit = find(
         known,
@@ -301,7 +301,7 @@ def search_event_gains(
 
     if candidates < 1:
         raise InputError(f"Argument `candidates` must be at least 1, but it is {candidates}.")
-    known = known_problem(problem)
+    known = repeating_problem(problem)
     begin = None if near is None else _near_events(near, known)
     result = search(
         known,
@@ -361,7 +361,7 @@ def find_orbit_by_shooting(
     """
     from zeno_orbits.search import orbit_by_shooting
 
-    known = known_problem(problem)
+    known = repeating_problem(problem)
     begin = None if near is None else _near_events(near, known)
     return orbit_by_shooting(
         known,

@@ -21,6 +21,7 @@ from zeno_orbits.api.inputs import (
     known_problem,
     plan_of,
     problem_of,
+    repeating_problem,
 )
 from zeno_orbits.errors import named_numbers
 from zeno_orbits.model import Problem
@@ -311,7 +312,7 @@ def map_plane(
     """
     from zeno_orbits import maps
 
-    known = known_problem(problem)
+    known = repeating_problem(problem)
     fixed = {"gains": dict(named_numbers("gains", gains))}
     fixed["parameters"] = dict(named_numbers("parameters", parameters))
     begin = known.state_vector(known.starts[0] if start is None else start, known.values(**fixed))
@@ -361,7 +362,7 @@ def attractor_of(
     """
     from zeno_orbits.maps import attractors_at
 
-    known = known_problem(problem)
+    known = repeating_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
     begin = dict(zip(known.state_names, known.initial_state(start, values), strict=True))
     (found,) = attractors_at(known, [values], start=begin)

@@ -75,7 +75,7 @@ def formulas_digest(n_x: int, tapes: Sequence[Tape]) -> str:
     for tape in tapes:
         counts = (n_x, tape.n_varying, tape.n_parameters, tape.n_registers, tape.n_once)
         digest.update(repr((counts, tape.code.shape, tape.outputs.shape)).encode())
-        for numbers in (tape.code, tape.constants, tape.outputs, *tape.tables):
+        for numbers in (tape.code, tape.constants, tape.outputs):
             digest.update(numbers.tobytes())
     return digest.hexdigest()[:32]
 

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.lookups import Lookup, called
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.expressions.operations import operation_name, symbols_in
 from zeno_orbits.model.hybrid import CompletedSystem
@@ -195,6 +196,14 @@ def _values_of(formula: Any, known: ca.SX, values: Sequence[float]) -> str:
 
 def _account(node: Any, operands: Sequence[float]) -> str:
     """Return what an operation is given, and the remedy."""
+    lookup = _lookup_behind(node)
+    if lookup is not None:
+        first, last = lookup.table.knots[0], lookup.table.knots[-1]
+        return (
+            f"the argument of {lookup.table.name} is beyond its knots from {first:g} to {last:g}. "
+            "Add knots, change a value or the start, or give the table `outside='hold'` or "
+            "`outside='extend'`."
+        )
     operation, text = node.op(), str(node)
     told = f"`{text}`" if len(text) <= _LONGEST and "@" not in text else "an operation"
     given = [f"{value:.6g}" for value in operands]
@@ -205,6 +214,14 @@ def _account(node: Any, operands: Sequence[float]) -> str:
         what = f"is `{operation_name(operation)}` of {' and '.join(given)}"
     remedy = _REMEDIES.get(operation, "keep the result within the range of a double")
     return f"{told} {what}. Change the formula, a value or the start: {remedy}."
+
+
+def _lookup_behind(node: Any) -> Lookup | None:
+    """Return the look-up of a cell whose result an operation takes."""
+    parts = [node.dep(k) for k in range(node.n_dep())]
+    if len(parts) != 1 or not parts[0].is_output():
+        return None
+    return called(parts[0].dep(0))[1]
 
 
 def _derivatives(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import casadi as ca
 
+from zeno_orbits.integrators.lookups import lookups_in
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.drives.waveforms import TimeOrder
 from zeno_orbits.model.expressions.kinks import branched, is_smooth, sided
@@ -80,6 +81,8 @@ class ModeGraph:
             return "switches"
         if self.roots and not self.conditions:
             return "a root that is zero at its stop"
+        if any(one.table.is_kinked for one in lookups_in(self._kinked)):
+            return "a linear or monotone table"
         if self.conditions:
             return "a kink of the state (`fmin`, `fmax`, `fabs`, `sign`, `if_else`, `atan2`)"
         return "a stop with a name, of `stops` (a `gap` of its mechanism is unnamed)"

@@ -276,6 +276,11 @@ class Problem(Declared):
         return "" if graph is None else graph.reason
 
     @property
+    def has_time(self) -> bool:
+        """True if the clock is a `Time`, under which no motion repeats."""
+        return _built(self)[0].has_time
+
+    @property
     def clock(self) -> tuple[int, ...]:
         """Indices of the clock in the state, empty for an unforced problem."""
         return _built(self)[0].clock

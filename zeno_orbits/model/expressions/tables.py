@@ -77,7 +77,7 @@ def table(
         arguments = []
     if len(arguments) != 1 + pair or any(not one.is_scalar() for one in arguments):
         raise ValueError("Argument `x` of a table must be a scalar formula, or a pair of them.")
-    axes = list(knots) if pair else [knots]
+    axes = [knots] if not pair else list(knots) if isinstance(knots, Sequence) else []
     if pair and len(axes) != 2:
         raise ValueError("Argument `knots` must be a pair for a table of two arguments.")
     placed = [_numeric_axis(at, axis, kind) for at, axis in zip(arguments, axes, strict=True)]
@@ -106,7 +106,7 @@ class _Axis:
 
 def _formulas(given: Any) -> list[ca.SX] | None:
     """Return entries as formulas, or ``None`` if all of them are numbers."""
-    if isinstance(given, np.ndarray):
+    if isinstance(given, np.ndarray) or not isinstance(given, ca.SX | Sequence):
         return None
     entries = ca.vertsplit(ca.vec(given)) if isinstance(given, ca.SX) else list(given)
     if not any(isinstance(one, ca.SX) for one in entries):
@@ -126,16 +126,15 @@ def numbers_in(given: Any, what: str, dimension: int) -> Vector:
             plain = [float(one) for one in given]
         numbers = np.array(plain, dtype=np.float64)
     except (TypeError, ValueError, RuntimeError):
-        raise ValueError(f"Argument `{what}` of a table must hold numbers.") from None
+        raise ValueError(f"Argument `{what}` must hold numbers.") from None
     if numbers.ndim != dimension:
         raise ValueError(
-            f"Argument `{what}` of a table must have {dimension} dimension(s), but it has "
-            f"{numbers.ndim}."
+            f"Argument `{what}` must have {dimension} dimension(s), but it has {numbers.ndim}."
         )
     for place in np.argwhere(~np.isfinite(numbers))[:1].tolist():
         at = ", ".join(map(str, place))
         raise ValueError(
-            f"Argument `{what}` of a table must hold finite numbers, but entry [{at}] is "
+            f"Argument `{what}` must hold finite numbers, but entry [{at}] is "
             f"{numbers[tuple(place)]}."
         )
     return numbers
