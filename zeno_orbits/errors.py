@@ -162,6 +162,17 @@ class TranslationError(InputError):
         self.operation = operation
 
 
+class TableProofError(TranslationError):
+    """A formula looks up a table, for which proofs have no rule."""
+
+    def __init__(self, table: str) -> None:
+        super().__init__("call")
+        self.args = (
+            f"A proof needs analytic formulas, but the problem looks up {table}: prove it with a "
+            "polynomial or another formula in place of the table.",
+        )
+
+
 class SpeedLawError(TranslationError):
     """A restitution depends on the impact speed, for which proofs have no lemma."""
 

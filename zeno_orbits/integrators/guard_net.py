@@ -127,16 +127,21 @@ def _searched(
         count += 1
         right = waiting[-1]
         width = right.offset - left.offset
-        changes = right.value < 0.0 < left.value
         starts = on_guard and left.offset == 0.0
+        # A guard that rises from its zero and is negative further on has fallen in between.
+        rises = starts and left.rate * step.size > rounding
+        changes = right.value < 0.0 < left.value and not rises
         bounds = flow.guard_bounds(*step.box(left.offset, right.offset, left.state, right.state))
         if changes and _rates(bounds, width, left, right)[1] < 0.0:
             return _root_between(flow, step, left, right)
         excluded = right.value >= 0.0 and _is_excluded(bounds, width, left, right)
-        if excluded or (starts and width <= NEAR_START * step.size):
+        near = NEAR_START**2 if rises else NEAR_START
+        is_near = starts and width <= near * step.size and not (rises and right.value < 0.0)
+        if excluded or is_near:
             left = waiting.pop()
             continue
-        if width <= NARROWEST * step.size or max(left.value, right.value) <= rounding:
+        is_zero = max(left.value, right.value) <= rounding and not rises
+        if width <= NARROWEST * step.size or is_zero:
             if changes:
                 return _root_between(flow, step, left, right)
             left = waiting.pop()
@@ -146,7 +151,7 @@ def _searched(
         middle = Place(offset, *flow.guard(state), state)
         if may_deny and _is_denied(flow, middle, width):
             return left.offset
-        if starts and middle.value <= 0.0:
+        if starts and middle.value <= 0.0 and not rises:
             left = waiting.pop()
         elif middle.value < 0.0:
             waiting = [middle]

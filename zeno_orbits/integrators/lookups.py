@@ -267,6 +267,18 @@ def called(node: Any) -> tuple[Any, Lookup | None]:
     return function, lookup_of(function)
 
 
+def called_table(function: ca.Function, k: int) -> str:
+    """Return the name of the table that an instruction of a function looks up.
+
+    Args:
+        function: The function.
+        k: Index of the instruction.
+    """
+    nodes: Any = function.instructions_sx()
+    other, lookup = called(nodes[k])
+    return f"the function `{other.name()}`" if lookup is None else lookup.table.name
+
+
 def lookups_in(formulas: Sequence[ca.SX]) -> list[Lookup]:
     """Return the look-ups in formulas.
 

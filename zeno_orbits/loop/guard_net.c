@@ -71,23 +71,27 @@ static double first_of_all(const Net *net, const double *before, const double *a
         waiting[0].pair[0] = 0.0;
     }
     for (count = 0; n > 0 && count < MOST_PIECES; count++) {
-        double width, bounds[6], rates[2];
-        int starts, changes;
+        double width, near, bounds[6], rates[2];
+        int starts, changes, rises, is_zero;
         Place middle;
         right = waiting[n - 1];
         width = right.offset - left.offset;
-        changes = right.pair[0] < 0.0 && 0.0 < left.pair[0];
         starts = on_guard && left.offset == 0.0;
+        /* A guard that rises from its zero and is negative further on has fallen in between. */
+        rises = starts && left.pair[1] * size > rounding;
+        changes = right.pair[0] < 0.0 && 0.0 < left.pair[0] && !rises;
+        near = rises ? NEAR_START * NEAR_START : NEAR_START;
         net->bounds(net->curve, &left, &right, right.pair[0] < 0.0, bounds);
         piece_rates(bounds, width, &left, &right, rates);
         if (changes && rates[1] < 0.0) return root_between(net, &left, &right);
         if ((right.pair[0] >= 0.0 && is_excluded(bounds, width, &left, &right)) ||
-            (starts && width <= NEAR_START * size)) {
+            (starts && width <= near * size && !(rises && right.pair[0] < 0.0))) {
             left = right;
             n--;
             continue;
         }
-        if (width <= NARROWEST * size || greater(left.pair[0], right.pair[0]) <= rounding) {
+        is_zero = greater(left.pair[0], right.pair[0]) <= rounding && !rises;
+        if (width <= NARROWEST * size || is_zero) {
             if (changes) return root_between(net, &left, &right);
             left = right;
             n--;
@@ -96,7 +100,7 @@ static double first_of_all(const Net *net, const double *before, const double *a
         middle.offset = (left.offset + right.offset) / 2;
         net->state_at(net->curve, middle.offset, middle.state, middle.pair);
         if (net->is_carried && is_denied(net, &middle, width)) return left.offset;
-        if (starts && middle.pair[0] <= 0.0) {
+        if (starts && middle.pair[0] <= 0.0 && !rises) {
             left = right;
             n--;
         } else if (middle.pair[0] < 0.0) {

@@ -20,7 +20,8 @@ from typing import Any, cast
 
 import casadi as ca
 
-from zeno_orbits.errors import SpeedLawError, TranslationError
+from zeno_orbits.errors import SpeedLawError, TableProofError, TranslationError
+from zeno_orbits.integrators.lookups import called_table
 from zeno_orbits.model import CharacteristicScales, CompletedSystem, Problem
 
 
@@ -312,6 +313,8 @@ def _without_constants(
             work[place] = _power(base, work[takes[1]], fixed.get(takes[1]))
         elif code in table:
             work[place] = table[code](*(work[one] for one in takes))
+        elif code == ca.OP_CALL:
+            raise TableProofError(called_table(function, k))
         else:
             raise TranslationError(operation_name(code))
         # The index may have held an operand.

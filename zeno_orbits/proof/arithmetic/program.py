@@ -12,7 +12,8 @@ from typing import Any
 import casadi as ca
 from flint import arb, arb_series, ctx
 
-from zeno_orbits.errors import TranslationError
+from zeno_orbits.errors import TableProofError, TranslationError
+from zeno_orbits.integrators.lookups import called_table
 from zeno_orbits.proof.arithmetic.balls import ONE, ZERO, Ball
 from zeno_orbits.proof.arithmetic.expressions import operation_name
 from zeno_orbits.proof.arithmetic.recurrences import (
@@ -61,6 +62,8 @@ class BallProgram:
                 exponent[work[gives[0]]] = value
             elif code in (ca.OP_POW, ca.OP_CONSTPOW):
                 work[gives[0]] = self._power(work[takes[0]], work[takes[1]], exponent)
+            elif code == ca.OP_CALL:
+                raise TableProofError(called_table(function, k))
             else:
                 work[gives[0]] = self._translated(code, [work[one] for one in takes])
         self.outputs = outputs
