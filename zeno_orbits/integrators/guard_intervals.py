@@ -85,7 +85,9 @@ def guard_bounds(watched: ca.Function) -> ca.Function:
     ends = [end for interval in found for end in interval]
     if len(found) == _WITHOUT_BEND:
         ends += [ca.SX(-WIDE), ca.SX(WIDE)]
-    return ca.Function(f"{watched.name()}_bounds", [box, p], [ca.vertcat(*ends)], {"cse": may_be_merged(ends)})
+    return ca.Function(
+        f"{watched.name()}_bounds", [box, p], [ca.vertcat(*ends)], {"cse": may_be_merged(ends)}
+    )
 
 
 _WITHOUT_BEND = 2

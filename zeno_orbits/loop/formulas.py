@@ -97,7 +97,9 @@ def _choice(name: str, stem: str, views: Mapping[int, Iterable[int]]) -> str:
     text.append("    switch (view) {\n")
     for number, places in views.items():
         text.append(f"    case {number}LL:\n        switch (tape) {{\n")
-        text += [f"        case {k}: {stem}_{number}_{k}(tables, r, v, z); break;\n" for k in places]
+        text += [
+            f"        case {k}: {stem}_{number}_{k}(tables, r, v, z); break;\n" for k in places
+        ]
         text.append("        }\n        return 1;\n")
     return "".join((*text, "    }\n    return 0;\n}\n"))
 

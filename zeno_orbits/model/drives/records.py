@@ -128,13 +128,15 @@ def record(
             the record.
     """
     try:
-        return _checked(Record(
-            time=numbers_in(time, "time", 1),
-            samples=numbers_in(samples, "samples", 1),
-            period=period,
-            kind=kind,
-            name=name,
-        ))
+        return _checked(
+            Record(
+                time=numbers_in(time, "time", 1),
+                samples=numbers_in(samples, "samples", 1),
+                period=period,
+                kind=kind,
+                name=name,
+            )
+        )
     except ValueError as error:
         raise InputError(str(error)) from None
 
@@ -195,9 +197,7 @@ def _closed(given: Record, period: float) -> Record:
         )
     else:
         samples = np.append(samples[:-1], samples[0])
-    return Record(
-        time=time, samples=samples, period=period, kind=given.kind, name=given.name
-    )
+    return Record(time=time, samples=samples, period=period, kind=given.kind, name=given.name)
 
 
 def _repeated(given: Record, clock: Clock) -> ca.SX:
@@ -241,8 +241,12 @@ def _knots(phases: Vector, offset: float, *, is_kinked: bool) -> Vector:
     parts = np.ceil(np.diff(knots) / (_TURN / _FEWEST)).astype(int)
     if is_kinked and parts.sum() % 2:
         parts[int(np.argmax(np.diff(knots) / parts))] += 1
-    pieces = [
-        np.linspace(a, b, n, endpoint=False)
-        for (a, b), n in zip(pairwise(knots.tolist()), parts.tolist(), strict=True)
-    ] if parts.max() > 1 else [knots[:-1]]
+    pieces = (
+        [
+            np.linspace(a, b, n, endpoint=False)
+            for (a, b), n in zip(pairwise(knots.tolist()), parts.tolist(), strict=True)
+        ]
+        if parts.max() > 1
+        else [knots[:-1]]
+    )
     return np.append(np.concatenate(pieces), _TURN)

@@ -785,7 +785,9 @@ def _walked(walk: _Walk, flat: Any) -> list[_Value]:
     symbols = symbols_in(flat)
     function: Any = ca.Function("formulas", symbols, [flat], {"cse": may_be_merged([flat])})
     if _ROOTS & {function.instruction_id(k) for k in range(function.n_instructions())}:
-        first = replace(walk, sides=(), has_slopes=False, conditions=[], at_zero=[], roots=[], cells=[])
+        first = replace(
+            walk, sides=(), has_slopes=False, conditions=[], at_zero=[], roots=[], cells=[]
+        )
         _walked_through(first, function, symbols, flat.numel())
         walk.decided = tuple(one.written for one in first.conditions)
     return _walked_through(walk, function, symbols, flat.numel())

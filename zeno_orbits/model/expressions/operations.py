@@ -23,6 +23,7 @@ _NAMES: dict[int, str] = {
     if name.startswith("OP_")
 } | _SIGNS
 
+
 def operation_name(operation: int) -> str:
     """Return the name of an operation of CasADi for a message.
 
