@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -91,7 +92,7 @@ def spline_by_hand(knots: Sequence[float], values: Sequence[float], x: float) ->
     """Return a not-a-knot spline from its second derivatives, in 60 digits."""
     with mp.workdps(60):
         k, f = [mpf(float(one)) for one in knots], [mpf(float(one)) for one in values]
-        n, h = len(k), [mpf(float(b)) - mpf(float(a)) for a, b in zip(knots, knots[1:])]
+        n, h = len(k), [mpf(float(b)) - mpf(float(a)) for a, b in pairwise(knots)]
         rows, right = mp.matrix(n, n), mp.matrix(n, 1)
         for i in range(1, n - 1):
             rows[i, i - 1], rows[i, i], rows[i, i + 1] = h[i - 1], 2 * (h[i - 1] + h[i]), h[i]
@@ -168,8 +169,8 @@ def test_knots_and_values_may_hold_parameters() -> None:
         for at in (0.1, 0.7, 1.2):
             assert float(found(0.2 + at, [1.0, 0.2])[0]) == pytest.approx(plain(at), abs=1e-14)
 
-            def moved(size: float, shift: float, at: float = at) -> float:
-                return float(found(0.2 + at, [size, shift])[0])
+            def moved(size: float, shift: float, at: float = at, f: Any = found) -> float:
+                return float(f(0.2 + at, [size, shift])[0])
 
             h = 1e-6
             wanted = [

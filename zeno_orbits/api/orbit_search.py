@@ -14,8 +14,8 @@ from zeno_orbits.api.inputs import (
     as_orbit,
     file_of,
     front_door,
-    repeating_problem,
     plan_of,
+    repeating_problem,
     whole,
 )
 from zeno_orbits.api.settings import verification_settings

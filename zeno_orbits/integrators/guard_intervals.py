@@ -19,6 +19,8 @@ import numpy as np
 
 from zeno_orbits.integrators.lookups import CellTable, Lookup, called, may_be_merged
 
+_ca: Any = ca
+"""CasADi, whose stubs do not know the types of some functions."""
 WIDE = 1e300
 """Stands for a bound where none is known, as of a quotient by an interval around zero."""
 
@@ -153,29 +155,29 @@ def _looked_up(node: Any, given: list[Interval]) -> list[Interval]:
 def _cells_of_turn(cell: Any, table: CellTable, c: Interval, s: Interval) -> Interval:
     """Return the cells of phases: all cells where the interval holds the end of a turn."""
     doubt, turn = _Doubt(), float(table.knots[-1])
-    angle: Any = ca.atan2(s.low + s.high, c.low + c.high)
-    middle = ca.if_else(angle < 0, angle + turn, angle)
-    cosine, sine = _point(ca.cos(angle)), _point(ca.sin(angle))
+    angle: Any = _ca.atan2(s.low + s.high, c.low + c.high)
+    middle = _ca.if_else(angle < 0, angle + turn, angle)
+    cosine, sine = _point(_ca.cos(angle)), _point(_ca.sin(angle))
     ahead = _sum(_product(c, cosine, doubt), _product(s, sine, doubt), doubt)
     aside = _difference(_product(s, cosine, doubt), _product(c, sine, doubt), doubt)
-    low = middle + ca.atan(aside.low / ca.if_else(aside.low < 0, ahead.low, ahead.high))
-    high = middle + ca.atan(aside.high / ca.if_else(aside.high > 0, ahead.low, ahead.high))
+    low = middle + _ca.atan(aside.low / _ca.if_else(aside.low < 0, ahead.low, ahead.high))
+    high = middle + _ca.atan(aside.high / _ca.if_else(aside.high > 0, ahead.low, ahead.high))
     first, last = cell(low), cell(high)
-    every = ca.logic_or(ca.logic_not(ahead.low > 0), ca.logic_or(low < 0, high >= turn))
-    every = ca.logic_or(every, last < first)
-    return Interval(ca.if_else(every, 0, first), ca.if_else(every, table.n - 1, last))
+    every = _ca.logic_or(_ca.logic_not(ahead.low > 0), _ca.logic_or(low < 0, high >= turn))
+    every = _ca.logic_or(every, last < first)
+    return Interval(_ca.if_else(every, 0, first), _ca.if_else(every, table.n - 1, last))
 
 
 def _numbers_of_cells(pick: Any, table: CellTable, cell: Interval) -> list[Interval]:
     """Return the numbers of cells: those of all where the cells are not close to each other."""
-    middle = ca.floor((cell.low + cell.high) / 2)
-    found = [ca.vertsplit(ca.densify(pick(one))) for one in (cell.low, middle, cell.high)]
+    middle = _ca.floor((cell.low + cell.high) / 2)
+    found = [_ca.vertsplit(_ca.densify(pick(one))) for one in (cell.low, middle, cell.high)]
     is_near = cell.high - cell.low <= 2
     results: list[Interval] = []
     for column, near in zip(table.columns, zip(*found, strict=True), strict=True):
         hull = _hull(list(near))
         least, largest = float(np.min(column)), float(np.max(column))
-        low, high = ca.if_else(is_near, hull.low, least), ca.if_else(is_near, hull.high, largest)
+        low, high = _ca.if_else(is_near, hull.low, least), _ca.if_else(is_near, hull.high, largest)
         results.append(Interval(low, high))
     return results
 

@@ -21,6 +21,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 
+_ca: Any = ca
+"""CasADi, whose stubs do not know the types of these functions."""
 _OPTIONS = {"is_diff_in": [False], "never_inline": True}
 _HEAD = 6
 """Numbers before the knots in a table of the loop."""
@@ -101,8 +103,8 @@ class CellTable:
             buckets = self.n
             head[1:4] = self.knots[0], self.knots[-1], buckets
             edges = self.knots[0] + (self.knots[-1] - self.knots[0]) * np.arange(buckets) / buckets
-            cells = np.searchsorted(self.knots, edges, side="right") - 1
-            parts += [self.knots, np.clip(cells - 1, 0, self.n - 1).astype(np.float64)]
+            cells = np.array(np.searchsorted(self.knots, edges, side="right"), dtype=np.float64)
+            parts += [self.knots, np.clip(cells - 2.0, 0.0, self.n - 1.0)]
         for column in self.columns:
             parts += [column, [float(np.min(column)), float(np.max(column))]]
         return np.concatenate(parts)
@@ -135,13 +137,13 @@ class CellTable:
     def cell(self, *x: ca.SX) -> ca.SX:
         """Return the index of the cell of a value, or of cosine and sine of a phase."""
         found: Any = self._cells[Side.ALL](*x)
-        return ca.floor(found)
+        return _ca.floor(found)
 
     def numbers_of(self, cell: ca.SX) -> list[ca.SX]:
         """Return the numbers of a cell, ``(m,)``."""
         found: Any = self._pick(cell)
         up, down = 2.0**self.power, 2.0**-self.power
-        return [ca.floor(found[k] * up) * down for k in range(self.columns.shape[0])]
+        return [_ca.floor(found[k] * up) * down for k in range(self.columns.shape[0])]
 
     def guard(self, cell: ca.SX, x: Sequence[ca.SX]) -> ca.SX:
         r"""Return a formula that is zero at the ends of a cell, with slopes of one.
@@ -154,7 +156,7 @@ class CellTable:
             cell: Index of the cell.
             x: The value, or cosine and sine of a phase.
         """
-        first, second, third, fourth = self.numbers_of(ca.floor(cell))[:4]
+        first, second, third, fourth = self.numbers_of(_ca.floor(cell))[:4]
         if self.turns:
             far = (x[0] + first) ** 2 + (x[1] + second) ** 2
             near = (x[0] - first) ** 2 + (x[1] - second) ** 2
@@ -164,8 +166,8 @@ class CellTable:
 
     def alternating(self, cell: ca.SX, x: Sequence[ca.SX]) -> ca.SX:
         """Return the guard of the cell of a value, negative in cells of an odd index."""
-        k = ca.floor(cell)
-        return (1 - 2 * (k - 2 * ca.floor(k / 2))) * self.guard(k, x)
+        k = _ca.floor(cell)
+        return (1 - 2 * (k - 2 * _ca.floor(k / 2))) * self.guard(k, x)
 
     def on_side(self, side: Side) -> Any:
         """Return the function that finds the cells of a side."""
@@ -199,8 +201,8 @@ class CellTable:
     def _cells_by_turn(self, side: Side) -> Any:
         """Return the function that finds a cell by cosine and sine of a phase."""
         c, s = ca.MX.sym("c"), ca.MX.sym("s")
-        angle: Any = ca.atan2(s, c)
-        phase = ca.if_else(angle < 0, angle + self.knots[-1], angle)
+        angle: Any = _ca.atan2(s, c)
+        phase = _ca.if_else(angle < 0, angle + self.knots[-1], angle)
         name = f"turn{side.value}_{self.digest}"
         options = {**_OPTIONS, "is_diff_in": [False, False]}
         found = ca.Function(name, [c, s], [self.on_phase(side)(phase)], options)
@@ -216,23 +218,23 @@ class CellTable:
         ends = np.repeat(ends, 2, axis=0) if n == 1 else ends
         places = np.arange(float(len(ends)))
         pair: Any = ca.interpolant("ends", "linear", [places], ends.ravel(), _EXACT)
-        k: Any = ca.fmin(ca.fmax(ca.floor(index(x)), 0), n - 1)
+        k: Any = _ca.fmin(_ca.fmax(_ca.floor(index(x)), 0), n - 1)
         around = pair(k)
-        k = k - ca.logic_and(x < around[0], k > 0) + ca.logic_and(x >= around[1], k < n - 1)
+        k = k - _ca.logic_and(x < around[0], k > 0) + _ca.logic_and(x >= around[1], k < n - 1)
         if side is not Side.ALL and n > 1:
             around = pair(k)
-            is_odd = k - 2 * ca.floor(k / 2)
+            is_odd = k - 2 * _ca.floor(k / 2)
             other = is_odd == 0 if side is Side.ODD else is_odd == 1
-            nearer = ca.if_else(2 * x < around[0] + around[1], k - 1, k + 1)
+            nearer = _ca.if_else(2 * x < around[0] + around[1], k - 1, k + 1)
             if self.turns:
-                nearer = ca.if_else(nearer < 0, n - 1, ca.if_else(nearer >= n, 0, nearer))
+                nearer = _ca.if_else(nearer < 0, n - 1, _ca.if_else(nearer >= n, 0, nearer))
             else:
-                nearer = ca.if_else(k == 0, 1, ca.if_else(k == n - 1, n - 2, nearer))
-            k = ca.if_else(other, nearer, k)
+                nearer = _ca.if_else(k == 0, 1, _ca.if_else(k == n - 1, n - 2, nearer))
+            k = _ca.if_else(other, nearer, k)
         # The comparisons are false for a number that is none.
-        within = ca.logic_and(x >= self.knots[0], x <= self.knots[-1]) if self.refuses else x == x
+        within = _ca.logic_and(x >= self.knots[0], x <= self.knots[-1]) if self.refuses else x == x
         name = f"cell{side.value}_{self.digest}"
-        found = ca.Function(name, [x], [ca.if_else(within, k, math.nan)], _OPTIONS)
+        found = ca.Function(name, [x], [_ca.if_else(within, k, math.nan)], _OPTIONS)
         return _kept(name, found, Lookup(table=self, side=side))
 
 
@@ -287,7 +289,7 @@ def lookups_in(formulas: Sequence[ca.SX]) -> list[Lookup]:
     """
     if not _known:
         return []
-    flat: Any = ca.SX(ca.veccat(*formulas))
+    flat = ca.SX(_ca.veccat(*formulas))
     function: Any = ca.Function("formulas", ca.symvar(flat), [flat])
     made = function.instructions_sx()
     found = [

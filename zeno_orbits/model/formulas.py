@@ -115,7 +115,7 @@ def to_sympy(expression: ca.SX, names: Mapping[str, str]) -> Any:
             return sympy.Integer(int(number)) if number.is_integer() else sympy.Float(number, 17)
         if node.is_output():
             raise InputError(
-                "Argument `problem`: its gap acceleration holds a table, which formulas do not name."
+                "Argument `problem`: its gap acceleration holds a table, which no formula names."
             )
         operation = _OPERATIONS.get(node.op())
         if operation is None:

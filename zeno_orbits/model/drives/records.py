@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -241,12 +241,8 @@ def _knots(phases: Vector, offset: float, *, is_kinked: bool) -> Vector:
     parts = np.ceil(np.diff(knots) / (_TURN / _FEWEST)).astype(int)
     if is_kinked and parts.sum() % 2:
         parts[int(np.argmax(np.diff(knots) / parts))] += 1
-    pieces = (
-        [
-            np.linspace(a, b, n, endpoint=False)
-            for (a, b), n in zip(pairwise(knots.tolist()), parts.tolist(), strict=True)
-        ]
-        if parts.max() > 1
-        else [knots[:-1]]
-    )
+    pieces: list[Vector] = [knots[:-1]]
+    if parts.max() > 1:
+        cells: Any = zip(knots[:-1].tolist(), knots[1:].tolist(), parts.tolist(), strict=True)
+        pieces = [np.linspace(a, b, n, endpoint=False) for a, b, n in cells]
     return np.append(np.concatenate(pieces), _TURN)

@@ -308,12 +308,11 @@ class _Walk:
             )
         if lookup.side is not None:
             return [self._cell(lookup, parts)]
-        written, smooth = (
-            ca.vertsplit(ca.densify(function(one))) for one in (parts[0].written, parts[0].smooth)
-        )
+        written, smooth = (function(one) for one in (parts[0].written, parts[0].smooth))
+        varies, slopes = parts[0].varies, self._no_slopes()
         return [
-            _Value(one, other, self._no_slopes(), varies=parts[0].varies, steps=parts[0].varies)
-            for one, other in zip(written, smooth, strict=True)
+            _Value(written[k], smooth[k], slopes, varies=varies, steps=varies)
+            for k in range(function.nnz_out(0))
         ]
 
     def _cell(self, lookup: Lookup, parts: Sequence[_Value]) -> _Value:

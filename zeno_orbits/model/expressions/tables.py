@@ -13,7 +13,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -71,13 +71,14 @@ def table(
     _require_choice("kind", kind, _KINDS)
     _require_choice("outside", outside, _OUTSIDE)
     pair = isinstance(x, tuple | list)
+    given = cast("Any", x if pair else (x,))
     try:
-        arguments = [ca.SX(one) for one in (x if pair else (x,))]
+        arguments = [ca.SX(one) for one in given]
     except (TypeError, NotImplementedError):
         arguments = []
     if len(arguments) != 1 + pair or any(not one.is_scalar() for one in arguments):
         raise ValueError("Argument `x` of a table must be a scalar formula, or a pair of them.")
-    axes = [knots] if not pair else list(knots) if isinstance(knots, Sequence) else []
+    axes = cast("Any", knots if pair and isinstance(knots, Sequence) else [] if pair else [knots])
     if pair and len(axes) != 2:
         raise ValueError("Argument `knots` must be a pair for a table of two arguments.")
     placed = [_numeric_axis(at, axis, kind) for at, axis in zip(arguments, axes, strict=True)]
@@ -108,7 +109,7 @@ def _formulas(given: Any) -> list[ca.SX] | None:
     """Return entries as formulas, or ``None`` if all of them are numbers."""
     if isinstance(given, np.ndarray) or not isinstance(given, ca.SX | Sequence):
         return None
-    entries = ca.vertsplit(ca.vec(given)) if isinstance(given, ca.SX) else list(given)
+    entries = cast("Any", ca.vertsplit(ca.vec(given)) if isinstance(given, ca.SX) else given)
     if not any(isinstance(one, ca.SX) for one in entries):
         return None
     formulas = [ca.SX(one) for one in entries]
@@ -116,7 +117,16 @@ def _formulas(given: Any) -> list[ca.SX] | None:
 
 
 def numbers_in(given: Any, what: str, dimension: int) -> Vector:
-    """Return finite numbers in an array."""
+    """Return finite numbers in an array.
+
+    Args:
+        given: The numbers.
+        what: Name of the argument that holds them.
+        dimension: Number of dimensions.
+
+    Raises:
+        ValueError: If an entry is not a finite number, or the dimension differs.
+    """
     try:
         plain = given
         if isinstance(given, ca.SX | ca.DM):
@@ -289,6 +299,12 @@ def _polynomials(
 
 
 def horner(coefficients: Sequence[ca.SX], u: ca.SX) -> ca.SX:
+    """Return a polynomial.
+
+    Args:
+        coefficients: Coefficients by increasing powers.
+        u: Its argument.
+    """
     value = coefficients[-1]
     for one in reversed(coefficients[:-1]):
         value = one + u * value

@@ -13,7 +13,6 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.lookups import may_be_merged
 from zeno_orbits.integrators import (
     FIRST_ITERATIONS,
     JUMPS,
@@ -30,6 +29,7 @@ from zeno_orbits.integrators import (
     n_factors,
     overflow,
 )
+from zeno_orbits.integrators.lookups import may_be_merged
 from zeno_orbits.model.numeric.calls import Call, StepCall
 from zeno_orbits.model.numeric.casadi_calls import caller
 from zeno_orbits.model.numeric.columns import Columns
