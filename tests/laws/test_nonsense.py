@@ -168,6 +168,11 @@ SOUND: dict[str, Callable[[], Any]] = {
     "clock": lambda: zo.Clock.at(ca.SX(2.0)),
     "levels": lambda: [0.0, 1.0],
     "times": lambda: [1.0],
+    "knots": lambda: [0.0, 1.0],
+    "values": lambda: [1.0, 2.0],
+    "time": lambda: [0.0, 1.0],
+    "samples": lambda: [1.0, 2.0],
+    "column": lambda: "ground",
     "amplitudes": lambda: [(1.0, 0.0)],
     "frequency": lambda: ca.SX(2.0),
     "cosine": lambda: ca.SX.sym("c"),
@@ -232,6 +237,9 @@ OWN: dict[str, dict[str, Callable[[], Any]]] = {
         **{name: (lambda: ca.SX(0)) for name in ("bias", "passive_force", "applied_force")},
         "holonomic": lambda: ca.SX(0, 1),
     },
+    "table": {"x": lambda: Q},
+    "record": {"period": lambda: None},
+    "read_record": {"path": lambda: Path("no.csv")},
     "design_feedback": {"inputs": lambda: ["Kd"]},
     "stabilize": {"found": families, "inputs": lambda: ["g"]},
     "hold_inputs": {
@@ -279,7 +287,15 @@ RESULTS = (
         "Stability",
     ),
     *("LawComparison", "LawFit", "SearchMethod", "TransientComparison", "TransientFit"),
-    *("WorkPrecision", "ZenoCondition", "Orbit", "Drawing", "SpecialPointKind", "PwmSettings"),
+    *(
+        "WorkPrecision",
+        "ZenoCondition",
+        "Orbit",
+        "Drawing",
+        "Record",
+        "SpecialPointKind",
+        "PwmSettings",
+    ),
 )
 """Results, which functions make, and names that are not called."""
 
