@@ -24,5 +24,6 @@ GRAPHS = {
     "hopper": 5.0,
     "limited_pendulum": 4.0,
     "sampled_pendulum": 4.0,
+    "shaken_block": 12.0,
 }
 """The bundled problems with several stops or switches, and a time with their events [s]."""

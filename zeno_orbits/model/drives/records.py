@@ -23,7 +23,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, shown
 from zeno_orbits.integrators.lookups import CellTable
 from zeno_orbits.model.clock import Clock, Time
 from zeno_orbits.model.expressions.tables import horner, numbers_in, table
@@ -150,7 +150,8 @@ def _checked(given: Record) -> Record:
     time, samples, n = given.time, given.samples, len(given.time)
     if given.kind not in ("linear", "cubic", "monotone"):
         raise ValueError(
-            f"Argument `kind` must be 'linear', 'cubic' or 'monotone', but it is '{given.kind}'."
+            "Argument `kind` must be 'linear', 'cubic' or 'monotone', but it is "
+            f"{shown(given.kind)}."
         )
     least = 4 if given.kind == "cubic" else 2
     if not least <= n <= _MOST:

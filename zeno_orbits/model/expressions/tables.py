@@ -20,6 +20,7 @@ import numpy as np
 from scipy.interpolate import BSpline, CubicSpline, PchipInterpolator
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import shown
 from zeno_orbits.integrators.lookups import CellTable
 from zeno_orbits.work import checked
 
@@ -94,7 +95,7 @@ def table(
 def _require_choice(what: str, given: str, choices: Sequence[str]) -> None:
     if given not in choices:
         told = ", ".join(f"'{one}'" for one in choices)
-        raise ValueError(f"Argument `{what}` must be one of {told}, but it is '{given}'.")
+        raise ValueError(f"Argument `{what}` must be one of {told}, but it is {shown(given)}.")
 
 
 @dataclass(frozen=True, slots=True)
