@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import casadi as ca
+import numpy as np
 
+import zeno_orbits as zo
+
+KNOTS = np.array([-5.0, -3.0, -2.5, -1.0, 0.0, 0.2, 1.0, 2.0, 4.0, 5.5])
+VALUES = np.array([1.0, -2.0, 0.5, 3.0, 2.0, -1.0, 0.0, 4.0, -3.0, 1.0])
 Formula = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
 
 FORMULAS: dict[str, Formula] = {
@@ -39,6 +45,17 @@ FORMULAS: dict[str, Formula] = {
     "power of a number": lambda x, y, p: 2**x - y * p,
     "joined choice": lambda x, y, p: ca.if_else(ca.logic_or(x <= p, y != x), x, y * p),
     "equal": lambda x, y, p: ca.if_else(ca.floor(x) == ca.ceil(y), x * p, y),
+    "table": lambda x, y, p: zo.table(x + p, KNOTS, VALUES, outside="extend") * y,
+    "smooth table": lambda x, y, p: zo.table(x * p, KNOTS, VALUES, "cubic", outside="extend") + y,
+    "table of two": lambda x, y, p: zo.table(
+        (x, p * y), (KNOTS, KNOTS), np.outer(VALUES, VALUES), outside="hold"
+    ),
+    "record": lambda x, y, p: (
+        p
+        * zo.record(KNOTS, VALUES, period=12.0).at(
+            zo.Clock(cosine=x, sine=y, frequency=ca.SX(2 * math.pi / 12.0))
+        )
+    ),
 }
 
 

@@ -60,7 +60,8 @@ class _Doubt:
     def unless_constant(self, result: Interval) -> None:
         """Leave derivatives unbounded if a result that moves in jumps is not one value."""
         if not result.is_point:
-            self.jumps = self.jumps + ca.if_else(result.low != result.high, WIDE, 0.0)
+            jumps: ca.SX = ca.if_else(result.low != result.high, WIDE, 0.0)
+            self.jumps = ca.fmax(self.jumps, jumps)
 
 
 def has_bounds(formula: ca.Function) -> bool:

@@ -269,7 +269,7 @@ static Interval operated(int op, Interval x, Interval y, Interval w, double expo
     default: doubted(1, doubt); return between(0.0, 0.0);
     }
     /* What jumps in the box has no derivative. */
-    if (z.low != z.high) doubt->jumps += WIDE;
+    if (z.low != z.high) doubt->jumps = WIDE;
     return z;
 }
 

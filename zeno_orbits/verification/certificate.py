@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -161,6 +161,17 @@ _MISSES_IF_ANY = ("first_impact", "impact_sequence", "events", "zeno_point", "ph
 """Such residuals that orbits have by their events."""
 
 
+_MOST_LISTED = 20
+"""Events of an orbit up to which a sentence lists them all."""
+
+
+def _listed(events: Sequence[str]) -> str:
+    """Return the events of an orbit, the first ones of very many."""
+    if len(events) <= _MOST_LISTED:
+        return ", ".join(events)
+    return f"{', '.join(events[:_MOST_LISTED])}, ..., {len(events)} in all"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeltaCut:
     """One truncation of the impact sequence by the paper's rule.
@@ -297,7 +308,7 @@ class OrbitCertificate(TableRepr):
     def _kind(self) -> str:
         shape = EventSequence.parsed(self.shape) if self.shape else None
         if shape is None:
-            what = f"{self._kind_of_events} (events: {', '.join(self.events)})"
+            what = f"{self._kind_of_events} (events: {_listed(self.events)})"
         elif not shape.has_one_release:
             what = f"{shape.kind} (shape {shape.text})"
         else:
