@@ -413,9 +413,12 @@ def of_interpolant(table: Any, arguments: Sequence[ca.SX]) -> list[ca.SX]:
     m, shape = int(used["m"]), [len(one) - d - 1 for one, d in zip(places, degrees, strict=True)]
     values = _array(text, used["values"]).reshape(*shape[::-1], m)
     outside = "refuse" if is_spline else "extend"
-    formulas = _of_splines(arguments, places, degrees, values, outside, table.name())
-    _require_same(table, arguments, formulas, [np.unique(one) for one in places])
-    return formulas
+    symbols = [ca.SX.sym("x") for _ in arguments]
+    formulas = _of_splines(symbols, places, degrees, values, outside, table.name())
+    made: Any = ca.Function(table.name(), symbols, [ca.vertcat(*formulas)])
+    _require_same(table, made, [np.unique(one) for one in places])
+    value = made(*arguments)
+    return [value[k] for k in range(len(formulas))]
 
 
 def _of_splines(
@@ -456,22 +459,16 @@ def _pieces(places: Vector, values: Vector, degree: int) -> tuple[Vector, Vector
     return knots, np.stack(parts)
 
 
-def _require_same(
-    table: Any, arguments: Sequence[ca.SX], formulas: Sequence[ca.SX], knots: Sequence[Vector]
-) -> None:
+def _require_same(table: Any, made: Any, knots: Sequence[Vector]) -> None:
     """Refuse formulas that differ from a table at the middle of a cell.
 
     Raises:
         ValueError: If they differ.
     """
-    symbols = [ca.SX.sym("x") for _ in arguments]
-    given, every = ca.vertcat(*arguments), ca.vertcat(*formulas)
-    replaced: Any = ca.substitute(every, given, ca.vertcat(*symbols))
-    made: Any = ca.Function("made", [ca.vertcat(*symbols)], [replaced])
     middles = [(one[1:] + one[:-1]) / 2 for one in knots]
     picked = [one[:: max(1, len(one) // _COMPARED)] for one in middles]
     for at in map(list, product(*picked)):
-        found, expected = made(at).full(), table(at).full().reshape(-1, 1)
+        found, expected = made(*at).full(), table(at).full().reshape(-1, 1)
         if np.max(np.abs(found - expected)) > _SAME * (1.0 + np.max(np.abs(expected))):
             raise ValueError(f"The formula of the table `{table.name()}` differs from it at {at}.")
 
