@@ -14,7 +14,7 @@ Offers: `prove_orbit`, `Proof`, `ProofSettings`; `enclose_one_period`, `Enclosur
 `ProofVerdict`; `replay_proof`, `Replay`; `equilibrium_report`, Theorem 1 at a state, with an
 `EquilibriumReport` and a `ZenoNeighbourhood`.
 
-Imports: orbits, model, work, arrays, errors. Balls are python-flint's. Never
+Imports: orbits, model, integrators, work, arrays, errors. Balls are python-flint's. Never
 search, continuation, maps, experiment or precision; `checker` imports model, work and errors alone.
 """
 

@@ -20,7 +20,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.interpolate import CubicSpline, PPoly
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, shown
@@ -205,6 +204,8 @@ def _repeated(given: Record, clock: Clock) -> ca.SX:
     """Return a record as a table of the phase of a clock."""
     period = float(given.period or 0.0)
     phases = (given.time - given.time[0]) * (_TURN / period)
+    from scipy.interpolate import CubicSpline, PPoly
+
     if given.kind == "cubic":
         made = CubicSpline(phases, given.samples, bc_type="periodic")
     else:

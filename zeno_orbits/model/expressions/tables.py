@@ -17,7 +17,6 @@ from typing import Any, cast
 
 import casadi as ca
 import numpy as np
-from scipy.interpolate import BSpline, CubicSpline, PchipInterpolator
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import shown
@@ -217,6 +216,8 @@ def _cells(knots: Vector, values: Vector, kind: str) -> Vector:
     if kind == "linear":
         width = np.diff(knots).reshape(-1, *[1] * (values.ndim - 1))
         return np.stack([values[:-1], np.diff(values, axis=0) / width])
+    from scipy.interpolate import CubicSpline, PchipInterpolator
+
     made = CubicSpline(knots, values) if kind == "cubic" else PchipInterpolator(knots, values)
     return np.array(made.c[::-1], dtype=np.float64)
 
@@ -454,6 +455,8 @@ def _of_splines(
 
 def _pieces(places: Vector, values: Vector, degree: int) -> tuple[Vector, Vector]:
     """Return the knots of a spline and the coefficients of its cells, ``(degree + 1, n, ...)``."""
+    from scipy.interpolate import BSpline
+
     made, knots = BSpline(places, values, degree), np.unique(places)
     parts = [made(knots[:-1], nu=k) / math.factorial(k) for k in range(degree + 1)]
     return knots, np.stack(parts)
