@@ -309,9 +309,8 @@ class _Walk:
         if lookup.side is not None:
             return [self._cell(lookup, parts)]
         written, smooth = (function(one) for one in (parts[0].written, parts[0].smooth))
-        varies, slopes = parts[0].varies, self._no_slopes()
         return [
-            _Value(written[k], smooth[k], slopes, varies=varies, steps=varies)
+            replace(parts[0], written=written[k], smooth=smooth[k])
             for k in range(function.nnz_out(0))
         ]
 
@@ -324,9 +323,10 @@ class _Walk:
         varies, table = any(one.varies for one in parts), lookup.table
         written, smooth = [one.written for one in parts], [one.smooth for one in parts]
         cell = table.on_side(lookup.side or Side.ALL)(*written)
+        is_partial = any(one.is_partial for one in parts)
+        reads = [one.reads for one in parts]
         if not (varies and table.is_kinked and lookup.side is Side.ALL):
             on_branch = table.on_side(lookup.side or Side.ALL)(*smooth)
-            found = _Value(cell, on_branch, self._no_slopes(), varies=varies, steps=varies)
         else:
             k = len(self.conditions)
             side, (even, odd) = self.side_of(k), (table.on_side(one) for one in _PARITIES)
@@ -345,11 +345,22 @@ class _Walk:
                     sign * by_place,
                     slopes,
                     varies=True,
-                    is_partial=any(one.is_partial for one in parts),
+                    is_partial=is_partial,
+                    reads=_union(reads),
                 )
             )
             self.at_zero.append(True)
-            found = _Value(cell, here, self._no_slopes(), varies=True, steps=True)
+            on_branch = here
+            reads += [{k: ca.SX(1)}] if is_partial else []
+        found = _Value(
+            cell,
+            on_branch,
+            self._no_slopes(),
+            varies=varies,
+            steps=varies,
+            is_partial=is_partial,
+            reads=_union(reads),
+        )
         self.cells.append((lookup, parts, found))
         return found
 
@@ -556,7 +567,7 @@ def _factor(formula: ca.SX, gap: ca.SX, lowest: float = 0.5) -> float:
     symbols = symbols_in(ca.vertcat(formula, gap))
     both: Any = ca.Function("both", symbols, [formula, gap])
     points = np.random.default_rng(0).uniform(lowest, 2.0, (_POINTS, len(symbols)))
-    pairs = [(float(one), float(h)) for one, h in (both(*point) for point in points.tolist())]
+    pairs = [(float(one), float(h)) for one, h in map(both.call, points.tolist())]
     if not all(map(math.isfinite, chain(*pairs))) or pairs[0][1] == 0.0:
         return 0.0
     factor = pairs[0][0] / pairs[0][1]
