@@ -14,7 +14,7 @@ import pytest
 import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.commands import MISUSE, NO, YES, ask
-from zeno_orbits.model import CompletedSystem, load_problem
+from zeno_orbits.model import CompletedSystem, Problem, load_problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof import ProofSettings, check_proof, prove_orbit
 
@@ -41,6 +41,53 @@ def test_the_orbit_of_the_vibrating_table_is_proved_and_its_certificate_holds(
     assert float(proof.bounds.start_state["sine"].low) == pytest.approx(9.81 / 0.015 / 30**2, 1e-15)
     assert check_proof(dict(proof.certificate)).ok
     assert "periodic" in "\n".join(proof.lines())
+
+
+def _curved(problem: Problem) -> Problem:
+    """Return a problem with the gap `d + d^2 / 10` in place of its distance `d`."""
+
+    def model(p: Mapping[str, Any]) -> CompletedSystem:
+        one = problem.model(p).mechanism
+        curved = replace(one, gap=one.gap + one.gap**2 / 10)
+        return zo.hybrid_system(curved, zo.no_drive(curved), p["restitution"])
+
+    return replace(problem, model=model)
+
+
+@pytest.mark.parametrize("curved", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_an_orbit_without_contact_is_proved_at_its_published_state(*, curved: bool) -> None:
+    problem = load_problem("impact_oscillator")
+    problem = _curved(problem) if curved else problem
+    shape = zo.EventSequence.parsed("impact")
+    orbit = zo.find_orbit_by_shooting(problem, shape=shape).unwrap()
+    proof = prove_orbit(orbit, problem)
+    assert proof.proved, proof.verdict()
+    assert proof.bounds is not None
+    # The motion between two impacts is a free oscillation about the forced one: with the force at
+    # its phase and the speeds v before and e v after, both ends of a period are at the stop.
+    start = {name: float(one.low) for name, one in proof.bounds.start_state.items()}
+    assert float(proof.bounds.period.low) == pytest.approx(2 * math.pi, 1e-15)
+    assert start["speed"] == pytest.approx(_closed_speed(start["cosine"], start["sine"]), 1e-13)
+    assert check_proof(dict(proof.certificate), problem).ok
+    assert "just after the last impact" in " ".join(proof.statements())
+    moved = replace(orbit, start_state={**orbit.start_state, "speed": start["speed"] + 1e-6})
+    assert prove_orbit(moved, problem).claim == "closure"
+
+
+def _closed_speed(cosine: float, sine: float) -> float:
+    """Return the speed after the impact of an orbit that strikes once a turn, from its phase."""
+    c, e = 0.1, 0.8
+    w = math.sqrt(1 - c**2 / 4)
+    decay, cos, sin = math.exp(-c * math.pi), math.cos(2 * math.pi * w), math.sin(2 * math.pi * w)
+    # With m = k = omega = A = 1 the place y satisfies y'' + c y' + y = cos t, and sin(t) / c is a
+    # motion. Its difference z to the place has z(T) = z(0), and its rate there is -v / e, not v.
+    z = 1 - sine / c
+    forced = cosine / c
+    # z(T) = decay (z cos + (u + c z / 2) sin / w) with u = z'(0) = -v - forced.
+    u = (z / decay - z * cos) * w / sin - c * z / 2
+    after = decay * (u * cos - (z + c * u / 2) * sin / w)
+    assert after + forced == pytest.approx((u + forced) / -e, rel=1e-11)
+    return -(u + forced)
 
 
 @pytest.mark.slow

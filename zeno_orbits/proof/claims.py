@@ -45,7 +45,7 @@ def proof_bounds(problem: Problem, system: BallSystem, found: JudgedBox, bits: i
     state = [a + b for a, b in zip(start.middle_box, moved, strict=True)]
     state = own_state(system, state)
     return Bounds(
-        period=_claimed(passage.release_times[-1].at(offset), bits),
+        period=_claimed(passage.period.at(offset), bits),
         zeno_times=tuple(_claimed(one.at(offset), bits) for one in passage.zeno_times),
         impact_times=tuple(_claimed(one.at(offset), bits) for one in passage.impact_times),
         start_state={

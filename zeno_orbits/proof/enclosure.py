@@ -98,6 +98,8 @@ def enclose_one_period(
     try:
         with ctx.workprec(settings.bits):
             require_fit(orbit, problem, values)
+            reason = f"the period does not start at a release (shape `{orbit.shape.text}`)"
+            require_proved(orbit.shape.starts_at_release, "shape", reason)
             held = all(phase.kind.holds for phase in orbit.phases)
             reason = f"an impact is followed by a flight (shape `{orbit.shape.text}`)"
             require_proved(held, "shape", reason)

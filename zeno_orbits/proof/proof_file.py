@@ -184,7 +184,7 @@ def certificate(
         **_system_data(problem, values, over, system),
         **({} if file is None else {"problem_file": str(Path(file.path).absolute())}),
         "section": {
-            "conditions": ["gap", "gap_rate", "multiplier"],
+            "conditions": ["gap"] if system.struck else ["gap", "gap_rate", "multiplier"],
             "places": list(passes[0][0].places),
         },
         "passes": [writer.passage(start, passage) for start, passage in passes],

@@ -116,7 +116,8 @@ def prove_orbit(
     try:
         with ctx.workprec(settings.bits):
             require_fit(orbit, problem, values)
-            system = BallSystem(problem, values, over, orbit.period)
+            struck = orbit.shape.without_contact
+            system = BallSystem(problem, values, over, orbit.period, struck=struck)
             require_hypotheses(problem, values, over, system)
             found = _found(orbit, problem, system, over, settings, on_progress)
             if settings.basin:
@@ -328,6 +329,7 @@ def _proof(
         over={n: (values.number(n), radius) for n, radius in over.items()},
         held=tuple(problem.derived_from(over, values.parameters)) if over else (),
         plastic=system.plastic,
+        impacts=orbit.shape.n_phases if system.struck else 0,
         stable=bool(fine.start.places) and (fine.discs.stable or passes[0].returned.included),
         repelling=fine.discs.repelling,
         bounds=bounds,

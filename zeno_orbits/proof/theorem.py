@@ -139,15 +139,17 @@ class SectionBox:
         }
         return {name: one.inner_text for name, one in self.coordinates.items()} | others
 
-    def lines(self, name: str) -> list[str]:
+    def lines(self, name: str, *, struck: bool = False) -> list[str]:
         """Return the set as sentences.
 
         Args:
             name: Name of the set.
+            struck: True if the section holds the states just after an impact.
         """
         point = [] if self.coordinates else [f"{name} is a single point of the section."]
         around, within = (_listed(one) for one in (self.lying(), self.contained()))
-        contains = f"{name} contains each release with {within}." if within else ""
+        element = "state just after an impact" if struck else "release"
+        contains = f"{name} contains each {element} with {within}." if within else ""
         return [*point, f"{name} lies in {around}.", *filter(None, [contains])]
 
     def as_json(self) -> dict[str, Any]:
@@ -198,6 +200,8 @@ class Proof:
         over: Gain or parameter to the middle and radius of its interval.
         held: Derived parameters that depend on one of `over` by default, and keep their values.
         plastic: True if the restitution is zero, so that a single impact starts the contact.
+        impacts: Number of impacts per return to the section of the states just after an impact, or
+            0 for the section of releases.
         stable: True if the fixed point of the return map is proved to be stable.
         repelling: True if a multiplier is proved to lie outside the unit circle.
         bounds: Enclosures of the orbit, None without a proof.
@@ -218,6 +222,7 @@ class Proof:
     over: Mapping[str, tuple[float, float]]
     held: tuple[str, ...] = ()
     plastic: bool = False
+    impacts: int = 0
     stable: bool = False
     repelling: bool = False
     bounds: Bounds | None = None
@@ -325,10 +330,13 @@ class Proof:
         """Return the theorem on one page, line by line."""
         if self.bounds is None:
             return [self.verdict()]
-        returns = len(self.bounds.zeno_times)
-        which = "the next" if returns == 1 else f"release {returns} after it"
+        returns = self.impacts or len(self.bounds.zeno_times)
+        event = "impact" if self.impacts else "release"
+        which = "the next" if returns == 1 else f"{event} {returns} after it"
+        after = "just after " if self.impacts else ""
         lines = [
-            f"Theorem. Problem `{self.problem}`. P is the return map, from a release to {which}."
+            f"Theorem. Problem `{self.problem}`. P is the return map, from {self._section} to"
+            f" {after}{which}."
         ]
         lines += self._hypotheses()
         lines += self.statements()
@@ -399,10 +407,14 @@ class Proof:
             if self.held:
                 lines.append(f"Held fixed, though derived by default: {', '.join(self.held)}.")
         for number, box in enumerate(self.boxes, start=1):
-            lines += box.lines(f"Box {number}")
+            lines += box.lines(f"Box {number}", struck=bool(self.impacts))
         if self.basin_box:
             lines += self.basin_box.lines("The set of initial states")
         return lines
+
+    @property
+    def _section(self) -> str:
+        return "the state just after an impact" if self.impacts else "a release"
 
     def _contraction(self) -> str:
         """Return the reason of stability: a norm below 1, or the inclusion of box 1."""
@@ -415,6 +427,13 @@ class Proof:
         return f"{where} {norm_in} is at most {told}"
 
     def _motion(self, n_phases: int) -> str:
+        if self.impacts:
+            count = "one impact" if self.impacts == 1 else f"{self.impacts} impacts"
+            return (
+                f"From every point of box 1 the completed execution has {count}, transversal and"
+                " with flights before and between them, and returns just after the last impact"
+                " to the section."
+            )
         impacts = (
             "has one impact, which is plastic"
             if self.plastic

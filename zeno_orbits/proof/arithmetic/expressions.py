@@ -64,6 +64,9 @@ class ProofExpressions:
         inertia: Mass matrix by columns, in the units of the problem, ``(n_q * n_q,)``.
         constraints: Expressions that vanish on the release section in addition to gap and rate, the
             pressure first.
+        struck_constraints: Expressions that vanish on the section of the states just after an
+            impact, in addition to the gap.
+        gap_rate: The gap rate as a function of the problem's states.
         defined: The gap and the holonomic constraints as the problem states them. The proof needs
             that they are analytic along the motion.
     """
@@ -82,6 +85,8 @@ class ProofExpressions:
     restitution: ca.SX
     inertia: ca.SX
     constraints: ca.SX
+    struck_constraints: ca.SX
+    gap_rate: ca.SX
     defined: ca.SX
 
 
@@ -132,6 +137,7 @@ def proof_expressions(
         free = ca.vertcat(free, ends[1], acceleration, still)
         direction = ca.vertcat(direction, 0, 1, still)
         constraints = ca.vertcat(-acceleration, gap, rate, holonomic)
+        struck = ca.vertcat(gap, holonomic)
         defined = ca.vertcat(gap, holonomic)
     else:
         g, sign = coordinate.place, coordinate.sign
@@ -150,6 +156,7 @@ def proof_expressions(
         direction[g], direction[places[1]] = 0, 1
         free, direction = ca.vertcat(free, still), ca.vertcat(direction, still)
         constraints = ca.vertcat(-acceleration, holonomic)
+        struck, rate = ca.SX(holonomic), x[places[1]]
         defined = ca.vertcat(gap, holonomic)
     locked = free - acceleration * direction
     locked[list(places)] = 0
@@ -159,16 +166,18 @@ def proof_expressions(
     locked, pressure, constraints = ca.substitute(
         [locked, -acceleration, constraints], [states], [on_stop]
     )
+    parts = [free, locked, direction, pressure, restitution, constraints, struck, rate]
+    parts += [defined, inertia]
     if sizes:
         n_x = x.numel()
         kept = sizes if coordinate is None else [*sizes[:n_x], *sizes[n_x + 2 :]]
         unit = ca.SX(list(kept))
-        parts = [free, locked, direction, pressure, restitution, constraints, defined, inertia]
-        free, locked, direction, pressure, restitution, constraints, defined, inertia = (
-            ca.substitute(parts, [states], [unit * states])
-        )
-        free, locked = free / unit, locked / unit
-        direction = direction * unit[places[1]] / unit
+        parts = ca.substitute(parts, [states], [unit * states])
+        for k in range(2):
+            parts[k] = parts[k] / unit
+        parts[2] = parts[2] * unit[places[1]] / unit
+        parts[7] = parts[7] / unit[places[1]]
+    free, locked, direction, pressure, restitution, constraints, struck, rate, *rest = parts
     left = [symbols[name] for name in problem.names if name not in carried]
     return ProofExpressions(
         digest=_digest(system, p),
@@ -183,9 +192,11 @@ def proof_expressions(
         pressure=pressure,
         direction=direction,
         restitution=restitution,
-        inertia=inertia,
+        inertia=rest[1],
         constraints=constraints,
-        defined=defined,
+        struck_constraints=struck,
+        gap_rate=rate,
+        defined=rest[0],
     )
 
 

@@ -46,6 +46,7 @@ class BallSystem:
         gap: Index of the gap.
         rate: Index of the gap rate.
         plastic: True for a restitution of zero.
+        struck: True if the section holds the states just after an impact, False for releases.
         gap_offset: Gap at the zero of its coordinate.
         units: Units of the states, powers of two, ``(n,)``.
         period: Time scale of the motion, for the sizes of steps [s].
@@ -59,6 +60,8 @@ class BallSystem:
         values: ParameterValues,
         over: Mapping[str, float] | None = None,
         period: float = 1.0,
+        *,
+        struck: bool = False,
     ) -> None:
         """Translate the problem.
 
@@ -67,11 +70,12 @@ class BallSystem:
             values: Gains and parameters, taken exactly.
             over: Gains or parameters that become states of rate zero.
             period: Approximate duration of the motion [s].
+            struck: True if the section holds the states just after an impact.
 
         Raises:
             TranslationError: If an operation of the problem is not analytic.
         """
-        carried, self.period = tuple(over or ()), period
+        carried, self.period, self.struck = tuple(over or ()), period, struck
         named = dict(zip(problem.names, map(float, values.vector), strict=True))
         own, n_x = problem.dynamics(values).own, len(problem.state_names)
         sizes = (*own.states(n_x), own.gap, own.gap_rate, *(named[name] for name in carried))
@@ -99,8 +103,10 @@ class BallSystem:
         self._tail = self._program(e.free, e.direction, e.restitution)
         self._defined = self._program(e.defined)
         self._inertia = self._program(e.inertia)
-        gradient = ca.jacobian(e.constraints, e.states)
-        self.constraints = self._program(e.constraints, gradient)
+        equations = e.struck_constraints if struck else e.constraints
+        gradient = ca.jacobian(equations, e.states)
+        self.constraints = self._program(equations, gradient)
+        self._gap_rate = self._program(e.gap_rate, ca.densify(ca.gradient(e.gap_rate, e.states)))
         self.constraint_places = list(zip(*gradient.sparsity().get_triplet(), strict=True))
 
     def turning_rows(self, rate: Ball | None) -> list[int]:
@@ -134,6 +140,21 @@ class BallSystem:
             restitution=restitution,
             restitution_slopes=gradient,
         )
+
+    @property
+    def carries_gap(self) -> bool:
+        """True if gap and gap rate are additional states."""
+        return self.expressions.coordinate is None
+
+    @property
+    def stopped(self) -> tuple[int, ...]:
+        """Indices of the states that are zero on the section."""
+        return (self.gap,) if self.struck else (self.gap, self.rate)
+
+    def gap_rate(self, y: Sequence[Ball]) -> tuple[Ball, list[Ball]]:
+        """Return the gap rate as a function of the problem's states, and its derivatives."""
+        (rate,), slopes = self._gap_rate(y)
+        return rate, slopes
 
     def undefined(self, y: Sequence[Ball]) -> str:
         """Return why the gap or a constraint is not proved to be analytic, real or complex."""

@@ -15,7 +15,7 @@ from zeno_orbits.proof.arithmetic.expressions import stop_identities
 from zeno_orbits.proof.arithmetic.program import BallProgram
 from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
 from zeno_orbits.proof.integration.section import SectionStart
-from zeno_orbits.proof.integration.sets import ProofStage
+from zeno_orbits.proof.integration.sets import Departure, ProofStage
 from zeno_orbits.proof.integration.walk import ProofPassage, WalkSettings, walk
 from zeno_orbits.work import Progress
 
@@ -26,6 +26,7 @@ _PATIENCE = 1.5
 _TRIALS = 3
 _NEAREST = 30
 """Largest number of halvings of the distance of a trial state."""
+_PLASTIC = "each plastic impact of the orbit is followed by a flight"
 _ROUNDING = 1e-8
 """Rounding error of an identity of the stop, relative to the size of its terms."""
 
@@ -46,9 +47,6 @@ def require_fit(orbit: Orbit, problem: Problem, values: ParameterValues) -> None
         raise ProofError("problem", "the orbit was computed from other equations")
     problem.require_zeno_points(values)
     _require_stop(orbit, problem, values)
-    if not orbit.shape.starts_at_release:
-        reason = f"the period does not start at a release (shape `{orbit.shape.text}`)"
-        raise ProofError("shape", reason)
 
 
 def _require_stop(orbit: Orbit, problem: Problem, values: ParameterValues) -> None:
@@ -96,7 +94,10 @@ def prover_state(system: BallSystem, problem: Problem, orbit: Orbit) -> list[flo
     if system.expressions.coordinate is None:
         x += [0.0, 0.0]
     x += [float(value.mid()) for value in system.carried.values()]
-    x[system.gap] = x[system.rate] = 0.0
+    if system.expressions.coordinate is not None:
+        x[system.rate] *= system.expressions.coordinate.sign
+    for k in system.stopped:
+        x[k] = 0.0
     return x
 
 
@@ -121,7 +122,9 @@ def walk_period(
     """
     reason = system.light(start.at.box)
     require_proved(not reason, "inertia", reason)
-    stage = ProofStage.released(start.at)
+    require_proved(not (system.struck and system.plastic), "shape", _PLASTIC)
+    departure = Departure.STRUCK if system.struck else Departure.RELEASED
+    stage = ProofStage.started(start.at, departure)
     radius = max((float(u.rad()) for u in start.at.U), default=0.0)
     what = f"follow a box of radius {radius:.0e}" if radius else "follow the orbit"
 
@@ -130,4 +133,5 @@ def walk_period(
         require_proved(not late, "period", f"the motion does not return within {time:.6g} s")
         on_progress(f"{what}, {doing}", min(time / orbit.period, 1.0))
 
-    return walk(system, stage, orbit.shape.n_releases, settings, tell)
+    count = orbit.shape.n_phases if system.struck else orbit.shape.n_releases
+    return walk(system, stage, count, settings, tell)

@@ -1,7 +1,8 @@
-"""The release section in balls: its points as functions of some of the states.
+"""The section in balls: its points as functions of some of the states.
 
-On the section, gap, gap rate and contact force are zero, and the constraints of the problem hold,
-including the circle of the clock. The remaining free states are the section's coordinates.
+On the section of releases, gap, gap rate and contact force are zero. On the section of the states
+just after an impact, only the gap is zero. The constraints of the problem hold on both, including
+the circle of the clock. The remaining free states are the section's coordinates.
 """
 
 from __future__ import annotations
@@ -55,6 +56,8 @@ def section_places(system: BallSystem, y: Sequence[float]) -> tuple[list[int], l
     """
     free = _free_places(system)
     slopes = _slopes(system, [arb(v) for v in y])
+    if not slopes:
+        return free, []
     n_constraints = len(slopes)
     floats = np.array([[float(row[k].mid()) for k in free] for row in slopes])
     scale = np.array([1e-3 + abs(y[k]) for k in free])
@@ -87,9 +90,7 @@ def start_on_section(
     """
     carried = list(range(system.n - len(system.carried), system.n))
     inputs, n = [*places, *carried], system.n
-    middle = [
-        ZERO if k in (system.gap, system.rate) else on_grid(value) for k, value in enumerate(y)
-    ]
+    middle = [ZERO if k in system.stopped else on_grid(value) for k, value in enumerate(y)]
     for _ in range(_NEWTON_STEPS):
         step = _newton(system, middle, middle, others)
         for k, change in zip(others, step, strict=True):
@@ -98,8 +99,9 @@ def start_on_section(
     deviations = [arb(0, radius) for radius in radii]
     for k, change in zip(inputs, deviations, strict=True):
         box[k] = middle[k] + change
-    slopes = _section_derivative(system, middle, others, inputs)
-    moved = product(slopes, deviations) if inputs else [ZERO] * len(others)
+    moved = [ZERO] * len(others)
+    if inputs and others:
+        moved = product(_section_derivative(system, middle, others, inputs), deviations)
     for reach in _REACHES:
         for k, change in zip(others, moved, strict=True):
             radius = reach * (change.abs_upper() + _LEAST_REACH * (1 + middle[k].abs_upper()))
@@ -111,7 +113,7 @@ def start_on_section(
         if found is not None:
             break
     else:
-        raise ProofError("start", "the release section is not proved to be smooth there")
+        raise ProofError("start", "the section is not proved to be smooth there")
     around = [box[k] for k in others]
     thin, exact = list(middle), _newton_box(system, _around(box, middle, others), middle, others)
     for k, value in zip(others, exact or found, strict=True):
@@ -121,17 +123,23 @@ def start_on_section(
     derivative = [[ZERO] * len(inputs) for _ in range(n)]
     for j, k in enumerate(inputs):
         derivative[k][j] = arb(1)
-    if inputs:
+    if inputs and others:
         rows = _section_derivative(system, box, others, inputs).table()
         for k, row in zip(others, rows, strict=True):
             derivative[k] = row
+    given = others
+    if system.struck and system.carries_gap:
+        thin[system.rate] = system.gap_rate(thin)[0]
+        slopes_of_rate = matrix([system.gap_rate(box)[1]], n)
+        derivative[system.rate] = (slopes_of_rate * matrix(derivative, len(inputs))).entries()
+        given = [*others, system.rate]
     return SectionStart(
         places=places,
         others=others,
         centre=[middle[k] for k in places],
         around=around,
         reached=found,
-        at=start_set(thin, matrix(derivative, len(inputs)), deviations, others),
+        at=start_set(thin, matrix(derivative, len(inputs)), deviations, given),
     )
 
 
@@ -142,7 +150,8 @@ def _around(box: list[Ball], middle: list[Ball], others: list[int]) -> list[Ball
 
 def _free_places(system: BallSystem) -> list[int]:
     last = system.n - len(system.carried)
-    return [k for k in range(last) if k not in (system.gap, system.rate)]
+    still = (system.gap, system.rate) if system.carries_gap else system.stopped
+    return [k for k in range(last) if k not in still]
 
 
 def _slopes(system: BallSystem, y: Sequence[Ball]) -> list[list[Ball]]:
@@ -169,13 +178,15 @@ def _inverse(m: Matrix) -> Matrix:
     try:
         return m.inv()
     except ZeroDivisionError as error:
-        raise ProofError("start", "the release section is not proved to be smooth there") from error
+        raise ProofError("start", "the section is not proved to be smooth there") from error
 
 
 def _newton(
     system: BallSystem, at: Sequence[Ball], slopes_at: Sequence[Ball], others: list[int]
 ) -> list[Ball]:
     values = system.constraints(at)[0]
+    if not values:
+        return []
     inverse = _inverse(_part(_slopes(system, slopes_at), others))
     return (inverse * column(values)).entries()
 

@@ -337,11 +337,11 @@ class ProofStage:
     metric: Vector
 
     @classmethod
-    def released(cls, at: BallSet) -> ProofStage:
-        """Return the stage of a set on the release section at time zero."""
+    def started(cls, at: BallSet, departure: Departure) -> ProofStage:
+        """Return the stage of a set on the section at time zero."""
         return cls(
             at=at,
-            departure=Departure.RELEASED,
+            departure=departure,
             time=BallTime.start(len(at.U)),
             metric=np.ones(len(at.m)),
         )

@@ -115,9 +115,9 @@ class ProofPassage:
         return self._times(PassageKind.ZENO_POINT)
 
     @property
-    def release_times(self) -> tuple[BallTime, ...]:
-        """Times of the releases, the last of which ends the period."""
-        return self._times(PassageKind.RELEASE)
+    def period(self) -> BallTime:
+        """Time of the return to the section."""
+        return self.events[-1].stage.time
 
     def _times(self, kind: PassageKind) -> tuple[BallTime, ...]:
         return tuple(one.stage.time for one in self.events if one.kind is kind)
@@ -135,14 +135,14 @@ Tell = Callable[[str, float], None]
 
 
 def walk(
-    system: BallSystem, start: ProofStage, releases: int, settings: WalkSettings, tell: Tell
+    system: BallSystem, start: ProofStage, count: int, settings: WalkSettings, tell: Tell
 ) -> ProofPassage:
     """Enclose one period from a set.
 
     Args:
         system: The problem.
-        start: The set at its release.
-        releases: Number of releases in the period.
+        start: The set on the section.
+        count: Number of releases in the period, or of impacts if it starts just after an impact.
         settings: Settings of the enclosure.
         tell: Called with the stage and the time reached [s].
 
@@ -150,7 +150,7 @@ def walk(
         ProofError: If a condition is not proved. The error names the claim.
     """
     way = _Way(system=system, settings=settings, tell=tell, stage=start)
-    while way.n_releases < releases:
+    while way.n_returns < count:
         try:
             way.follow()
         except ProofError as error:
@@ -176,7 +176,7 @@ class _Way:
     ) -> None:
         self.records: list[ProofRecord] = []
         self.events: list[PassageEvent] = []
-        self.n_releases = 0
+        self.n_returns = 0
         self.stage = stage
         self._n_impacts = 0
         self._system, self._settings, self._tell = system, settings, tell
@@ -199,7 +199,7 @@ class _Way:
             self._tell(self.stage.departure.value, float(self.stage.time.middle.mid()))
         if locked:
             self._note(PassageKind.RELEASE)
-            self.n_releases += 1
+            self.n_returns += not self._system.struck
         else:
             self._strike()
 
@@ -207,11 +207,12 @@ class _Way:
         settings, rate = self._settings, self._system.rate
         self._note(PassageKind.IMPACT)
         self._n_impacts += 1
+        self.n_returns += self._system.struck
         self._fastest = self._fastest.max(self.stage.at.box[rate].abs_upper())
         record, self.stage = strike(self._system, self.stage)
         self.records.append(record)
         self._slow = None
-        if self.stage.departure is Departure.STRUCK:
+        if self.stage.departure is Departure.STRUCK and not self._system.struck:
             speed = self.stage.at.box[rate]
             if bool(speed < settings.slow * self._fastest):
                 self._slow = self.stage, len(self.records)
