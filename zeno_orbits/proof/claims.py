@@ -151,10 +151,10 @@ def require_numbers(orbit: Orbit, bounds: Bounds, sizes: Sequence[float]) -> Non
         require_proved(off <= most, name, reason)
 
     check("period", bounds.period, orbit.period, allowed)
-    held = [phase for phase in orbit.phases if phase.zeno_time is not None]
+    held = [event.time for event in orbit.events if event.word == "zeno"]
     require_proved(len(held) == len(bounds.zeno_times), "shape", "the orbit has other Zeno points")
-    for phase, proved in zip(held, bounds.zeno_times, strict=True):
-        check("zeno_time", proved, float(phase.zeno_time or 0.0), allowed)
+    for time, proved in zip(held, bounds.zeno_times, strict=True):
+        check("zeno_time", proved, time, allowed)
     impacts = [impact.time for impact in orbit.impacts]
     for time in impacts:
         nearest = min(bounds.impact_times, key=lambda one: one.misses(time))

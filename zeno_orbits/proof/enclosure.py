@@ -20,8 +20,12 @@ from zeno_orbits.orbits import Orbit, OrbitPhase
 from zeno_orbits.proof.arithmetic.balls import Ball, all_finite, exact_fraction
 from zeno_orbits.proof.claims import own_state
 from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
+from zeno_orbits.proof.integration.machine import BallMachine
 from zeno_orbits.proof.integration.orbit_walk import (
     LEAST_SIZE,
+    ProofStart,
+    ball_machine,
+    proof_start,
     prover_state,
     require_fit,
     walk_period,
@@ -98,14 +102,16 @@ def enclose_one_period(
     try:
         with ctx.workprec(settings.bits):
             require_fit(orbit, problem, values)
+            require_proved(orbit.has_phases, "shape", "the machine has several stops or switches")
             reason = f"the period does not start at a release (shape `{orbit.shape.text}`)"
             require_proved(orbit.shape.starts_at_release, "shape", reason)
             held = all(phase.kind.holds for phase in orbit.phases)
             reason = f"an impact is followed by a flight (shape `{orbit.shape.text}`)"
             require_proved(held, "shape", reason)
-            system = BallSystem(problem, values, None, orbit.period)
+            given = proof_start(orbit)
+            machine, system = ball_machine(given, problem, values, {})
             require_hypotheses(problem, values, {}, system)
-            found = _enclosed(orbit, problem, system, settings, on_progress)
+            found = _enclosed(given, problem, machine, system, settings, on_progress)
     except ProofError as error:
         found = PeriodEnclosure(problem=problem.name, claim=error.claim, reason=error.reason)
     except TranslationError as error:
@@ -115,13 +121,15 @@ def enclose_one_period(
 
 
 def _enclosed(
-    orbit: Orbit,
+    given: ProofStart,
     problem: Problem,
+    machine: BallMachine,
     system: BallSystem,
     settings: EnclosureSettings,
     on_progress: Progress,
 ) -> PeriodEnclosure:
     """Return the enclosure from the largest trial box that meets the tolerance."""
+    orbit = given.orbit
     y = prover_state(system, problem, orbit)
     places, others = section_places(system, y)
     sizes = [max(abs(y[k]), LEAST_SIZE) for k in places]
@@ -131,7 +139,9 @@ def _enclosed(
         radii = [radius * size for size in sizes]
         try:
             start = start_on_section(system, [arb(value) for value in y], places, others, radii)
-            passage = walk_period(orbit, system, start, settings.walk, on_progress)
+            passage = walk_period(
+                given, machine, system, start, settings.walk, on_progress
+            )
             match = _Match(orbit, problem, system, start, settings.tolerance)
             return match.enclosure(passage, radius)
         except _ContradictionError:

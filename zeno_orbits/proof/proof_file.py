@@ -23,8 +23,10 @@ from zeno_orbits.proof.arithmetic.balls import (
     matrix,
 )
 from zeno_orbits.proof.checker.balls import NotProved
-from zeno_orbits.proof.checker.certificate import read_system
+from zeno_orbits.proof.checker.certificate import read_machine
+from zeno_orbits.proof.checker.formulas import joined_digest
 from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.machine import BallMachine
 from zeno_orbits.proof.integration.polynomial_walk import (
     PolynomialPass,
     PolynomialRecord,
@@ -109,13 +111,14 @@ class CertificateWriter:
         """Return a record as data."""
         numbers = {name: _texts(value) for name, value in one.numbers.items()}
         if one.kind == "tail":
-            radius, units = one.numbers["radius"], self._system.units
-            numbers["radius"] = [exact_text(radius[k] * units[k]) for k in self._tail_places()]
+            radius, units = zip(one.places, one.numbers["radius"], strict=True), self._system.units
+            numbers["radius"] = [exact_text(r * units[k]) for k, r in radius]
+            # The units of all gap rates are the same.
             numbers["speed"] = exact_text(one.numbers["speed"] * units[self._system.rate])
         orders = {"orders": list(one.orders)} if one.orders else {}
         set_ = one.result
         result = self.set_of(set_) if isinstance(set_, BallSet) else self.polynomial_set(set_)
-        return {"kind": one.kind, **numbers, **orders, "set": result}
+        return {"kind": one.kind, **numbers, **one.fields, **orders, "set": result}
 
     def passage(self, start: SectionStart, passage: ProofPassage) -> dict[str, Any]:
         """Return the enclosure of one period as data."""
@@ -137,12 +140,6 @@ class CertificateWriter:
         }
         return {"centre": _texts(centre), "radius": _texts(radii), "others": others}
 
-    def _tail_places(self) -> list[int]:
-        """Return the states with a radius in a polydisc: all except an additional gap state."""
-        if self.gap_row is not None:
-            return list(range(self._system.n))
-        return [k for k in range(self._system.n) if k not in (self._system.gap, self._system.rate)]
-
 
 def _texts_by(m: Matrix, rows: Sequence[float], columns: Sequence[float]) -> list[list[str]]:
     """Return the entries of an exact matrix in units of rows divided by units of columns."""
@@ -162,6 +159,7 @@ def certificate(
     problem: Problem,
     values: ParameterValues,
     over: Mapping[str, float],
+    machine: BallMachine,
     system: BallSystem,
     passes: Sequence[tuple[SectionStart, ProofPassage]],
     claims: Sequence[Mapping[str, Any]],
@@ -172,7 +170,8 @@ def certificate(
         problem: The problem.
         values: Its numbers.
         over: Radii of the intervals of parameters that the proof covers.
-        system: The problem in balls.
+        machine: The problem in balls.
+        system: Its system at the start.
         passes: Enclosures of one period, with their starts.
         claims: The claims, with numbers as texts.
     """
@@ -182,6 +181,7 @@ def certificate(
         "format": FORMAT,
         "kind": "zeno_orbits proof",
         **_system_data(problem, values, over, system),
+        **_machine_data(machine, system, passes),
         **({} if file is None else {"problem_file": str(Path(file.path).absolute())}),
         "section": {
             "conditions": ["gap"] if system.struck else ["gap", "gap_rate", "multiplier"],
@@ -190,6 +190,28 @@ def certificate(
         "passes": [writer.passage(start, passage) for start, passage in passes],
         "claims": [dict(claim) for claim in claims],
         "versions": proof_versions(),
+    }
+
+
+def _machine_data(
+    machine: BallMachine,
+    system: BallSystem,
+    passes: Sequence[tuple[SectionStart, ProofPassage]],
+) -> dict[str, Any]:
+    """Return the start of a machine with several stops, switches or kinks, and its digest."""
+    if system.view is None:
+        return {}
+    own = tuple(map(int, system.view.sides))
+    used = {own}
+    for _, passage in passes:
+        used |= {tuple(record.fields.get("sides", own)) for record in passage.records}
+    return {
+        "machine": {"stop": system.view.stop, "sides": list(own)},
+        "digest": joined_digest(
+            view.expressions.digest
+            for sides in sorted(used)
+            for view in machine.views(tuple(map(bool, sides)))
+        ),
     }
 
 
@@ -224,7 +246,7 @@ def require_hypotheses(
         ProofError: If a hypothesis is not shown.
     """
     try:
-        read_system(_system_data(problem, values, over, system), problem)
+        read_machine(_system_data(problem, values, over, system), problem)
     except (NotProved, InputError) as error:
         raise ProofError("hypotheses", str(error).removesuffix(".")) from error
 

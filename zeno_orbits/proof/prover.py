@@ -28,14 +28,18 @@ from zeno_orbits.proof.claims import (
 )
 from zeno_orbits.proof.fixed_point import JudgedBox, judge
 from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.machine import BallMachine
 from zeno_orbits.proof.integration.orbit_walk import (
     LEAST_SIZE,
+    ProofStart,
+    ball_machine,
+    proof_start,
     prover_state,
     require_fit,
     walk_period,
 )
 from zeno_orbits.proof.integration.section import SectionStart, section_places, start_on_section
-from zeno_orbits.proof.integration.walk import WalkSettings
+from zeno_orbits.proof.integration.walk import ProofPassage, WalkSettings
 from zeno_orbits.proof.proof_file import (
     CertificateWriter,
     certificate,
@@ -116,18 +120,20 @@ def prove_orbit(
     try:
         with ctx.workprec(settings.bits):
             require_fit(orbit, problem, values)
-            struck = orbit.shape.without_contact
-            system = BallSystem(problem, values, over, orbit.period, struck=struck)
-            require_hypotheses(problem, values, over, system)
-            found = _found(orbit, problem, system, over, settings, on_progress)
+            given = proof_start(orbit)
+            machine, system = ball_machine(given, problem, values, over)
+            if not machine.is_graph:
+                require_hypotheses(problem, values, over, system)
+            search = _Search(given, problem, machine, system, over, settings, on_progress)
+            found = _found(search)
             if settings.basin:
-                found = _enlarged(orbit, system, found, settings, on_progress)
+                found = _enlarged(search, found)
             passes = [found]
             if found.by_krawczyk and found.start.places and not over and settings.radius is None:
-                passes += _refined(orbit, system, found, settings, on_progress)
-            proof = _proof(orbit, problem, values, over, system, passes)
+                passes += _refined(search, found)
+            proof = _proof(search, values, passes)
             if settings.basin:
-                proof = _with_basin(proof, orbit, problem, system, found, on_progress)
+                proof = _with_basin(proof, search, found)
     except ProofError as error:
         proof = Proof(
             problem=problem.name,
@@ -142,16 +148,34 @@ def prove_orbit(
     return replace(proof, wall_time=clock.perf_counter() - started)
 
 
-def _found(
-    orbit: Orbit,
-    problem: Problem,
-    system: BallSystem,
-    over: Mapping[str, float],
-    settings: ProofSettings,
-    on_progress: Progress,
-) -> JudgedBox:
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """A proof that is searched."""
+
+    given: ProofStart
+    problem: Problem
+    machine: BallMachine
+    system: BallSystem
+    over: Mapping[str, float]
+    settings: ProofSettings
+    on_progress: Progress
+
+    @property
+    def orbit(self) -> Orbit:
+        """The orbit, which starts on the section."""
+        return self.given.orbit
+
+    def walked(self, start: SectionStart) -> ProofPassage:
+        """Return the enclosure of one period from a set of the section."""
+        return walk_period(
+            self.given, self.machine, self.system, start, self.settings.walk, self.on_progress
+        )
+
+
+def _found(search: _Search) -> JudgedBox:
     """Return a box for which the proof succeeds. Larger boxes are tried first."""
-    y = prover_state(system, problem, orbit)
+    system, over, settings = search.system, search.over, search.settings
+    y = prover_state(system, search.problem, search.orbit)
     places, others = section_places(system, y)
     sizes = [max(abs(y[k]), LEAST_SIZE) for k in places]
     tried = _RADII if settings.radius is None else (settings.radius,)
@@ -164,7 +188,7 @@ def _found(
         middle, radii = boxes.pop(0)
         try:
             start = start_on_section(system, middle, places, others, [*radii, *varied])
-            judged = judge(start, walk_period(orbit, system, start, settings.walk, on_progress))
+            judged = judge(start, search.walked(start))
         except ProofError as error:
             failure = error
             continue
@@ -196,13 +220,7 @@ def _moved(start: SectionStart, step: Sequence[Ball]) -> list[Ball]:
     return y
 
 
-def _enlarged(
-    orbit: Orbit,
-    system: BallSystem,
-    found: JudgedBox,
-    settings: ProofSettings,
-    on_progress: Progress,
-) -> JudgedBox:
+def _enlarged(search: _Search, found: JudgedBox) -> JudgedBox:
     """Return the largest box found that the return map maps into its interior.
 
     Boxes grow by a constant factor until a box fails. Then the factor is bisected. The sides of the
@@ -226,8 +244,8 @@ def _enlarged(
         shape = sides * np.sqrt(np.maximum(image / np.max(image), _THINNEST))
         radii = [*(factor * shape), *(float(one.rad()) for one in start.at.U[d:])]
         try:
-            wide = start_on_section(system, start.at.m, start.places, start.others, radii)
-            tried = judge(wide, walk_period(orbit, system, wide, settings.walk, on_progress)).judged
+            wide = start_on_section(search.system, start.at.m, start.places, start.others, radii)
+            tried = judge(wide, search.walked(wide)).judged
         except ProofError:
             tried = None
         if tried is None or not tried.returned.included:
@@ -237,18 +255,15 @@ def _enlarged(
     return largest
 
 
-def _with_basin(
-    proof: Proof,
-    orbit: Orbit,
-    problem: Problem,
-    system: BallSystem,
-    found: JudgedBox,
-    on_progress: Progress,
-) -> Proof:
+def _with_basin(proof: Proof, search: _Search, found: JudgedBox) -> Proof:
     """Return a proof with the largest set of initial states that the checker accepts.
 
     Polynomials are computed in doubles, so only the checker proves a set.
     """
+    problem, system, on_progress = search.problem, search.system, search.on_progress
+    if search.machine.is_graph or system.struck:
+        reason = "sets are searched for one stop without switches, from a release"
+        return replace(proof, no_basin=reason)
     writer = CertificateWriter(system, found.start.places)
     # The other box and its claims do not concern the set.
     asked: dict[str, Any] = {
@@ -258,7 +273,7 @@ def _with_basin(
     }
     reason = ""
     try:
-        for sets in islice(large_sets(orbit, system, found, on_progress), _MOST_SETS):
+        for sets in islice(large_sets(search.orbit, system, found, on_progress), _MOST_SETS):
             on_progress("check the set of initial states", 0.0)
             written = [writer.polynomial_pass(one) for one in sets]
             verdict = check_proof(asked | {"basin": written}, problem)
@@ -278,18 +293,12 @@ def _with_basin(
     return replace(proof, no_basin=reason)
 
 
-def _refined(
-    orbit: Orbit,
-    system: BallSystem,
-    found: JudgedBox,
-    settings: ProofSettings,
-    on_progress: Progress,
-) -> list[JudgedBox]:
+def _refined(search: _Search, found: JudgedBox) -> list[JudgedBox]:
     """Return a much smaller box around the orbit inside a box that contains only this orbit.
 
     The list is empty if rounding makes the smaller box too imprecise.
     """
-    places, start = found.start.places, found.start
+    places, start, system = found.start.places, found.start, search.system
     near = found.orbit
     for _ in range(_REFINEMENTS):
         near = found.returned.krawczyk(near)
@@ -299,7 +308,7 @@ def _refined(
     radii = [max(_FINE * size, n) for size, n in zip(sizes, noise, strict=True)]
     try:
         fine = start_on_section(system, y, places, start.others, radii, start.around)
-        judged = judge(fine, walk_period(orbit, system, fine, settings.walk, on_progress)).judged
+        judged = judge(fine, search.walked(fine)).judged
     except ProofError:
         return []
     outer = zip(start.centre, start.at.U, fine.centre, fine.at.U, strict=False)
@@ -307,19 +316,13 @@ def _refined(
     return [judged] if judged is not None and judged.by_krawczyk and inside else []
 
 
-def _proof(
-    orbit: Orbit,
-    problem: Problem,
-    values: ParameterValues,
-    over: Mapping[str, float],
-    system: BallSystem,
-    passes: list[JudgedBox],
-) -> Proof:
+def _proof(search: _Search, values: ParameterValues, passes: list[JudgedBox]) -> Proof:
     """Return the theorem of a box, with digits from a smaller box."""
+    problem, over, system = search.problem, search.over, search.system
     fine, numbers = passes[-1], [float(x) for x in values.vector]
     bits = check_bits(system, numbers)
     bounds = proof_bounds(problem, system, fine, bits)
-    require_numbers(orbit, bounds, system.units)
+    require_numbers(search.orbit, bounds, system.units)
     claims = claims_of(passes, bounds, system.units)
     ways = [(one.start, one.passage) for one in passes]
     return Proof(
@@ -329,11 +332,12 @@ def _proof(
         over={n: (values.number(n), radius) for n, radius in over.items()},
         held=tuple(problem.derived_from(over, values.parameters)) if over else (),
         plastic=system.plastic,
-        impacts=orbit.shape.n_phases if system.struck else 0,
+        impacts=search.given.count if system.struck else 0,
+        events=fine.passage.told if search.machine.is_graph else (),
         stable=bool(fine.start.places) and (fine.discs.stable or passes[0].returned.included),
         repelling=fine.discs.repelling,
         bounds=bounds,
-        certificate=certificate(problem, values, over, system, ways, claims),
+        certificate=certificate(problem, values, over, search.machine, system, ways, claims),
         n_records=sum(len(one.passage.records) for one in passes),
         wall_time=0.0,
         versions=proof_versions(),

@@ -202,6 +202,7 @@ class Proof:
         plastic: True if the restitution is zero, so that a single impact starts the contact.
         impacts: Number of impacts per return to the section of the states just after an impact, or
             0 for the section of releases.
+        events: Events of the period in order, for a machine with several stops, switches or kinks.
         stable: True if the fixed point of the return map is proved to be stable.
         repelling: True if a multiplier is proved to lie outside the unit circle.
         bounds: Enclosures of the orbit, None without a proof.
@@ -223,6 +224,7 @@ class Proof:
     held: tuple[str, ...] = ()
     plastic: bool = False
     impacts: int = 0
+    events: tuple[str, ...] = ()
     stable: bool = False
     repelling: bool = False
     bounds: Bounds | None = None

@@ -23,6 +23,8 @@ import casadi as ca
 from zeno_orbits.errors import SpeedLawError, TableProofError, TranslationError
 from zeno_orbits.integrators.lookups import called_table
 from zeno_orbits.model import CharacteristicScales, CompletedSystem, Problem
+from zeno_orbits.errors import SpeedLawError, TranslationError
+from zeno_orbits.model import CharacteristicScales, CompletedSystem, Problem, system_of_stop
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +40,19 @@ class GapCoordinate:
     place: int
     sign: int
     offset: ca.SX
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MachineView:
+    """A stop of a machine with several stops, switches or kinks, on given sides of the kinks.
+
+    Attributes:
+        stop: Index of the stop.
+        sides: Side of every kink, True where its condition is positive.
+    """
+
+    stop: int
+    sides: tuple[bool, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,9 +81,13 @@ class ProofExpressions:
             pressure first.
         struck_constraints: Expressions that vanish on the section of the states just after an
             impact, in addition to the gap.
-        gap_rate: The gap rate as a function of the problem's states.
         defined: The gap and the holonomic constraints as the problem states them. The proof needs
             that they are analytic along the motion.
+        n_stops: Number of stops, whose gaps and gap rates are states if `coordinate` is None.
+        gaps: Gap and gap rate of every stop as functions of the problem's states.
+        guards: Guards of the declared switches, then the conditions of the kinks on their sides.
+        armed: The formulas `armed` of the declared switches.
+        resets: State after each declared switch, ``(N,)`` each.
     """
 
     digest: str
@@ -86,12 +105,51 @@ class ProofExpressions:
     inertia: ca.SX
     constraints: ca.SX
     struck_constraints: ca.SX
-    gap_rate: ca.SX
     defined: ca.SX
+    n_stops: int
+    gaps: ca.SX
+    guards: ca.SX
+    armed: ca.SX
+    resets: tuple[ca.SX, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Seen:
+    """A view of a machine: its system with one stop, and what else the machine has."""
+
+    system: CompletedSystem
+    gaps: tuple[ca.SX, ...]
+    stop: int
+    guards: ca.SX
+    armed: ca.SX
+    resets: tuple[ca.SX, ...]
+
+
+def _seen(problem: Problem, symbols: Mapping[str, ca.SX], view: MachineView | None) -> _Seen:
+    none = ca.SX(0, 1)
+    if view is None:
+        one = problem.one_stop_model(symbols)
+        return _Seen(system=one, gaps=(one.gap,), stop=0, guards=none, armed=none, resets=())
+    graph = problem.model(symbols).graph
+    if graph is None:
+        raise LookupError(problem.name)
+    n, sides = len(graph.switches), view.sides
+    every = [graph.guard(sides, k) for k in range(n + len(sides))]
+    return _Seen(
+        system=system_of_stop(graph, ((), sides), view.stop),
+        gaps=tuple(stop.gap for stop in graph.stops),
+        stop=view.stop,
+        guards=ca.densify(ca.vertcat(none, *every)),
+        armed=ca.densify(ca.vertcat(none, *(ca.SX(one.armed) for one in graph.switches))),
+        resets=tuple(ca.densify(one) for one in graph.resets),
+    )
 
 
 def proof_expressions(
-    problem: Problem, carried: Sequence[str] = (), sizes: Sequence[float] = ()
+    problem: Problem,
+    carried: Sequence[str] = (),
+    sizes: Sequence[float] = (),
+    view: MachineView | None = None,
 ) -> ProofExpressions:
     """Return a problem's equations for the prover.
 
@@ -100,13 +158,15 @@ def proof_expressions(
         carried: Gains or parameters that become states of rate zero.
         sizes: Units of the prover's states, powers of two: for the problem's states, gap and rate,
             and the carried parameters. The default is 1 for all units.
+        view: The stop and the sides of a machine with several stops, switches or kinks.
 
     Raises:
         TranslationError: If an operation is not analytic, or the restitution depends on the impact
             speed.
     """
     symbols = problem.symbols()
-    system = problem.one_stop_model(symbols)
+    seen = _seen(problem, symbols, view)
+    system = seen.system
     if system.law.of_speed is not None:
         raise SpeedLawError
     x, p = system.state, ca.vertcat(*symbols.values())
@@ -117,25 +177,43 @@ def proof_expressions(
         system.restitution,
         system.holonomic,
         ca.vec(ca.densify(ca.SX(system.mechanism.mass_matrix))),
+        ca.vertcat(*seen.gaps),
+        seen.guards,
+        seen.armed,
+        *seen.resets,
     ]
     function = ca.Function(
         "given", [x, p], [ca.densify(ca.SX(one)) for one in given], {"cse": True}
     )
     one = ca.SX.sym("one")
     outputs, names, values = _without_constants(function, one * x, one * p)
-    free, gap, direction, restitution, holonomic, inertia = outputs
+    free, gap, direction, restitution, holonomic, inertia, gaps, guards, armed, *resets = outputs
     over = [symbols[name] for name in carried]
-    coordinate = _coordinate(system.n_q, x, one, gap, free, over)
+    n_stops = len(seen.gaps)
+    coordinate = None
+    if n_stops == 1:
+        coordinate = _coordinate(system.n_q, x, one, gap, free, over)
     still = ca.SX.zeros(len(over))
     if coordinate is None:
-        ends = ca.SX.sym("gap", 2)
+        ends = ca.SX.sym("gap", 2 * n_stops)
         states = ca.vertcat(x, ends, *over)
-        places = (x.numel(), x.numel() + 1)
-        rate = ca.jtimes(gap, x, free)
-        acceleration = ca.jtimes(rate, x, free)
+        places = (x.numel() + 2 * seen.stop, x.numel() + 2 * seen.stop + 1)
+        rates = ca.jtimes(gaps, x, free)
+        accelerations = ca.jtimes(rates, x, free)
+        rate, acceleration = rates[seen.stop], accelerations[seen.stop]
         direction = direction / ca.jtimes(rate, x, direction)
-        free = ca.vertcat(free, ends[1], acceleration, still)
-        direction = ca.vertcat(direction, 0, 1, still)
+        struck_rates = ca.jtimes(rates, x, direction)
+        struck_rates[seen.stop] = 1
+        beside, pushed = ca.SX(0, 1), ca.SX(0, 1)
+        for k in range(n_stops):
+            beside = ca.vertcat(beside, ends[2 * k + 1], accelerations[k])
+            pushed = ca.vertcat(pushed, 0, struck_rates[k])
+        free = ca.vertcat(free, beside, still)
+        direction = ca.vertcat(direction, pushed, still)
+        resets = [ca.vertcat(reset, ends, *over) for reset in resets]
+        stops = ca.SX(0, 1)
+        for k in range(n_stops):
+            stops = ca.vertcat(stops, gaps[k], rates[k])
         constraints = ca.vertcat(-acceleration, gap, rate, holonomic)
         struck = ca.vertcat(gap, holonomic)
         defined = ca.vertcat(gap, holonomic)
@@ -148,15 +226,21 @@ def proof_expressions(
         moved[places[1]] = sign * x[places[1]]
         for expression in (free, direction):
             expression[places[1]] *= sign
-        free, direction, restitution, holonomic, gap, inertia = ca.substitute(
-            [free, direction, restitution, holonomic, gap, inertia], [x], [moved]
+        resets = [ca.vertcat(reset, *over) for reset in resets]
+        formulas = [free, direction, restitution, holonomic, gap, inertia, guards, armed]
+        moved_formulas = ca.substitute([*formulas, *resets], [x], [moved])
+        free, direction, restitution, holonomic, gap, inertia, guards, armed, *resets = (
+            moved_formulas
         )
+        for expression in resets:
+            expression[g], expression[places[1]] = x[g], x[places[1]]
         free[g], acceleration = x[places[1]], free[places[1]]
         direction = direction / direction[places[1]]
         direction[g], direction[places[1]] = 0, 1
         free, direction = ca.vertcat(free, still), ca.vertcat(direction, still)
         constraints = ca.vertcat(-acceleration, holonomic)
-        struck, rate = ca.SX(holonomic), x[places[1]]
+        struck = ca.SX(holonomic)
+        stops = ca.vertcat(x[g], x[places[1]])
         defined = ca.vertcat(gap, holonomic)
     locked = free - acceleration * direction
     locked[list(places)] = 0
@@ -166,8 +250,8 @@ def proof_expressions(
     locked, pressure, constraints = ca.substitute(
         [locked, -acceleration, constraints], [states], [on_stop]
     )
-    parts = [free, locked, direction, pressure, restitution, constraints, struck, rate]
-    parts += [defined, inertia]
+    parts = [free, locked, direction, pressure, restitution, constraints, struck]
+    parts += [defined, inertia, stops, guards, armed, *resets]
     if sizes:
         n_x = x.numel()
         kept = sizes if coordinate is None else [*sizes[:n_x], *sizes[n_x + 2 :]]
@@ -176,11 +260,15 @@ def proof_expressions(
         for k in range(2):
             parts[k] = parts[k] / unit
         parts[2] = parts[2] * unit[places[1]] / unit
-        parts[7] = parts[7] / unit[places[1]]
-    free, locked, direction, pressure, restitution, constraints, struck, rate, *rest = parts
+        for k in range(12, len(parts)):
+            parts[k] = parts[k] / unit
+        first = places[0] if coordinate is not None else x.numel()
+        rows = [first, places[1]] if coordinate is not None else range(first, first + 2 * n_stops)
+        parts[9] = parts[9] / unit[list(rows)]
+    free, locked, direction, pressure, restitution, constraints, struck, *rest = parts
     left = [symbols[name] for name in problem.names if name not in carried]
     return ProofExpressions(
-        digest=_digest(system, p),
+        digest=_digest(seen, p),
         states=states,
         numbers=ca.vertcat(*left, *names, zero, one),
         constants=(*values, 0.0, 1.0),
@@ -195,13 +283,18 @@ def proof_expressions(
         inertia=rest[1],
         constraints=constraints,
         struck_constraints=struck,
-        gap_rate=rate,
         defined=rest[0],
+        n_stops=n_stops,
+        gaps=rest[2],
+        guards=rest[3],
+        armed=rest[4],
+        resets=tuple(rest[5:]),
     )
 
 
-def _digest(system: CompletedSystem, numbers: ca.SX) -> str:
+def _digest(seen: _Seen, numbers: ca.SX) -> str:
     """Return the SHA-256 of the instructions of a system's formulas, as in the checker."""
+    system = seen.system
     given: list[Any] = [
         system.free_flow,
         system.locked_flow,
@@ -210,6 +303,8 @@ def _digest(system: CompletedSystem, numbers: ca.SX) -> str:
         system.law_numbers,
         system.holonomic,
     ]
+    if seen.guards.numel() or len(seen.gaps) > 1:
+        given += [ca.vertcat(*seen.gaps), seen.guards, seen.armed, *seen.resets]
     outputs = [ca.densify(ca.SX(one)) for one in given]
     f = ca.Function("system", [system.state, numbers], outputs)
     lines = [f"{system.state.numel()} {numbers.numel()} {system.n_q}"]

@@ -392,7 +392,7 @@ def require_poly_start(system: System, section: ContactSection, box: Box, start:
     bits, of, n = system.bits, start.of, len(system.z)
     newton, state = newton_of(system, section, box)
     reached_others(section, box, newton)
-    inner = [*section.places, *system.inner[system.n_x :]]
+    inner = [*section.places, *system.varied]
     P = exactly(np.zeros((n, of.n), dtype=int), bits)
     P[system.gap_row, 0] = system.stop
     P[inner, 0] = box.centre

@@ -26,8 +26,9 @@ from zeno_orbits.proof.checker.basin import RECORDS as POLYNOMIAL_RECORDS
 from zeno_orbits.proof.checker.basin import proved_image
 from zeno_orbits.proof.checker.claims import Passage, of_one_orbit, show
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped, require_enclosed
-from zeno_orbits.proof.checker.formulas import formulas_of
+from zeno_orbits.proof.checker.formulas import View
 from zeno_orbits.proof.checker.lanes import orders_of, require_rounding
+from zeno_orbits.proof.checker.machine import Machine, bound_machine, read_sides, require_sides
 from zeno_orbits.proof.checker.motion import (
     Flow,
     RecordPosition,
@@ -36,9 +37,10 @@ from zeno_orbits.proof.checker.motion import (
     flows,
     stepped,
     struck,
+    switched,
 )
 from zeno_orbits.proof.checker.section import Box, ContactSection, require_start, shown_others
-from zeno_orbits.proof.checker.system import System, bound_system
+from zeno_orbits.proof.checker.system import System
 from zeno_orbits.proof.checker.verdict import ClaimVerdict, ProofVerdict, Theorem
 from zeno_orbits.work import ExecutionPlan, checked, parallel_map, read_json
 
@@ -46,12 +48,16 @@ _TOP = (
     *("format", "kind", "problem", "digest", "parameters", "over", "gap_row", "bits", "section"),
     *("passes", "claims", "versions"),
 )
+_OPTIONAL = ("basin", "problem_file", "machine")
 _RECORDS = {
     "step": ("h", "orders"),
     "cross": ("h", "orders", "window", "centre"),
     "impact": (),
     "tail": ("radius", "speed"),
+    "switch": (),
 }
+_FURTHER = {"cross": ("meets",), "impact": ("sides",), "switch": ("sides",)}
+"""Further entries of the records of a machine with several stops, switches or kinks."""
 _BITS = range(64, 1025)
 _MOST = {"passes": 4, "basin": 16, "claims": 20_000, "records": 50_000}
 _CHUNK = 300
@@ -78,7 +84,8 @@ def check_proof(
     with fitting_together():
         data = _read(certificate)
         problem = problem_of_certificate(data, given)
-        system, over, theorem = read_system(data, problem)
+        machine, over, theorem = read_machine(data, problem)
+        system = machine.first
         section = ContactSection.of(system, data["section"])
         passages, verdicts, boxes = list[Passage | str](), list[ClaimVerdict](), list[Box]()
         for k, part in enumerate(_listed(data, "passes")):
@@ -88,7 +95,7 @@ def check_proof(
                 raise InputError("The certificate's boxes must lie in its first box.")
             _listed(part, "records")
             try:
-                passage = _passage(system, section, boxes[k], start, records)
+                passage = _passage(machine, section, boxes[k], start, records)
                 passages.append(replace(passage, box_number=k + 1))
                 told = f"{len(records)} inclusions"
                 verdicts.append(ClaimVerdict(f"motion {k}", True, told, k + 1))
@@ -101,10 +108,12 @@ def check_proof(
             raise InputError("The certificate must have a pass.")
         names = problem.state_names
         theorem = _about(theorem, system, section, boxes, passages, names)
+        if "basin" in data and machine.is_graph:
+            raise InputError("The certificate's `basin` must be of a machine with one stop.")
         if "basin" in data:
             parts = _listed(data, "basin")
             sets = [Box.of(system, section, part["box"], over) for part in parts]
-            found = _basin(system, section, parts, sets, passages)
+            found = _basin(machine, section, parts, sets, passages)
             verdicts += found
             theorem = replace(
                 theorem,
@@ -129,7 +138,7 @@ def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
             remedy = "Make one with `zeno-orbits prove ORBIT.json -o FILE`"
             raise InputError(f"File `{path}` is not a certificate. {remedy}.")
     data = cast("Mapping[str, Any]", certificate)
-    entries(data, *_TOP, *(name for name in ("basin", "problem_file") if name in data))
+    entries(data, *_TOP, *(name for name in _OPTIONAL if name in data))
     kind, bits = (data["format"], data["kind"]), data["bits"]
     if kind != (2, _KIND) or type(bits) is not int or bits not in _BITS:
         known = "The certificate must be of format 2 and of 64 to 1024 bits"
@@ -168,24 +177,20 @@ def _listed(data: Any, name: str) -> list[Any]:
     return cast("list[Any]", found)
 
 
-def read_system(
+def read_machine(
     data: Mapping[str, Any], problem: Problem
-) -> tuple[System, list[tuple[Ball, Ball]], Theorem]:
+) -> tuple[Machine, list[tuple[Ball, Ball]], Theorem]:
     """Return the problem at the certificate's parameter values, and the varied parameters.
 
     Args:
-        data: The certificate. Sets, records and claims are not read.
+        data: The certificate. Sets and claims are not read, and records for sides of kinks alone.
         problem: Its problem.
 
     Raises:
         InputError: If the parameter values do not fit the problem.
         NotProved: If a hypothesis of the theorem is not shown.
     """
-    formulas, bits = formulas_of(problem), data["bits"]
-    if data["digest"] != formulas.digest:
-        raise InputError(
-            f"The certificate belongs to other formulas than those of the problem `{problem.name}`."
-        )
+    bits = data["bits"]
     if tuple(data["parameters"]) != problem.names:
         raise InputError(f"The certificate must have values of {', '.join(problem.names)}.")
     numbers = {name: number(text, bits) for name, text in data["parameters"].items()}
@@ -205,30 +210,32 @@ def read_system(
         if out or low < quantity.lower or high > quantity.upper:
             wanted = f"must be inside its range, {quantity.lower:g} to {quantity.upper:g}"
             raise InputError(f"The certificate's `{quantity.name}` {wanted}.")
-    row = data["gap_row"]
-    if row is not None and (type(row) is not int or not 0 <= row < formulas.n_q):
-        raise InputError("The certificate's `gap_row` must be a coordinate.")
-    system = bound_system(formulas, numbers, over, row)
-    z = system.nothing
-    z[len(z) - len(over) :] = [ranges[name] for name in over]
-    e = system.value("law", z)[0]
-    if e.low < 0 or e.high >= 1 << bits or (e.low == 0 < e.high):
-        raise InputError("The certificate's restitution must be 0, or between 0 and 1.")
+    machine, digest = bound_machine(data, problem, numbers, over)
+    if data["digest"] != digest:
+        raise InputError(
+            f"The certificate belongs to other formulas than those of the problem `{problem.name}`."
+        )
+    for system in machine.systems.values():
+        z = system.nothing
+        z[system.varied] = [ranges[name] for name in over]
+        e = system.value("law", z)[0]
+        if e.low < 0 or e.high >= 1 << bits or (e.low == 0 < e.high):
+            raise InputError("The certificate's restitution must be 0, or between 0 and 1.")
     theorem = Theorem(
         problem=problem.name,
-        digest=formulas.digest,
+        digest=digest,
         parameters={name: float(ball.ends()[0]) for name, ball in numbers.items()},
         over={name: radius.ends()[0] for name, radius in radii.items()},
     )
-    return system, [(numbers[name], radii[name]) for name in over], theorem
+    return machine, [(numbers[name], radii[name]) for name in over], theorem
 
 
 def _passage(
-    system: System, section: ContactSection, box: Box, start: Any, records: Sequence[Any]
+    machine: Machine, section: ContactSection, box: Box, start: Any, records: Sequence[Any]
 ) -> Passage:
     """Prove the start, each record separately, and the return, or raise an error."""
-    plastic = _is_plastic(system)
-    stations = _stations(section, records, _RECORDS, plastic=plastic)
+    system = machine.first
+    stations = _stations(machine, section, records, _RECORDS)
     sets = [start, *(record["set"] for record in records)]
     first, last = (_set(system, box, data) for data in (sets[0], sets[-1]))
     try:
@@ -238,7 +245,7 @@ def _passage(
     back = last.hull[section.others] - box.others
     for k, x, reach in zip(section.others, back, box.others_spread, strict=True):
         require(x.size <= reach.r, f"section: state {k} does not return to it")
-    judge, tasks = partial(_proved, system, box), list(zip(stations, sets, records, strict=False))
+    judge, tasks = partial(_proved, machine, box), list(zip(stations, sets, records, strict=False))
     proved = (
         judge(tasks)
         if len(tasks) <= _CHUNK
@@ -246,6 +253,10 @@ def _passage(
     )
     times = np.array([[Ball(0, 0, system.bits)] * (1 + len(box.spread))])
     events: dict[str, list[Array]] = {"impact_time": [], "zeno_time": []}
+    held = [
+        record["kind"] == "tail" or (record["kind"] == "impact" and machine.is_plastic(place.view))
+        for place, record in zip(stations, records, strict=True)
+    ]
     for k, (record, found) in enumerate(zip(records, proved, strict=True)):
         if isinstance(found, str):
             raise NotProved(f"record {k} ({record['kind']}): {found}")
@@ -253,12 +264,18 @@ def _passage(
         if record["kind"] == "impact":
             events["impact_time"].append(times)
         # A plastic impact is also a Zeno point, since contact starts there.
-        if record["kind"] == "tail" or (record["kind"] == "impact" and plastic):
+        if held[k]:
             events["zeno_time"].append(times)
     return Passage(
         places=section.places,
         word=_word(stations, records),
-        events=(len(events["impact_time"]), len(events["zeno_time"]), plastic),
+        releases=sum(place.met[0] == "release" for place in stations),
+        events=(
+            len(events["impact_time"]),
+            len(events["zeno_time"]),
+            any(held) and not any(record["kind"] == "tail" for record in records),
+        ),
+        told=_told(machine, stations, records) if machine.is_graph else (),
         box=box,
         box_number=1,
         end=last,
@@ -271,34 +288,95 @@ def _set(system: System, box: Box, data: Any) -> Enclosure:
 
 
 def _stations(
+    machine: Machine,
     section: ContactSection,
     records: Sequence[Any],
     kinds: Mapping[str, tuple[str, ...]],
-    *,
-    plastic: bool,
 ) -> list[RecordPosition]:
     """Return the position of each record in the motion, after a check of their order."""
-    mode, began = "free", "release" if section.end == "cross" else "impact"
-    stations = list[RecordPosition]()
+    began = "release" if section.end == "cross" else "impact"
+    here, stations = RecordPosition("free", began, machine.start), list[RecordPosition]()
     for k, record in enumerate(records):
         kind = record["kind"]
-        entries(record, "kind", "set", *kinds[kind])
-        possible = {"impact"} if mode == "closed" else {"step", "cross"}
-        if (mode, began) == ("free", "impact"):
+        further = _FURTHER.get(kind, ()) if machine.is_graph else ()
+        possible = {"impact"} if here.mode == "closed" else {"step", "cross"}
+        if here.mode == "free" and here.began == "impact":
             possible.add("tail")
+        if here.switch >= 0:
+            possible = {"switch"}
         if kind not in possible:
             raise InputError(f"The certificate's record {k} must be {' or '.join(possible)}.")
-        stations.append(RecordPosition(mode, began))
-        if kind == "step":
-            began = ""
-        elif kind == "cross":
-            mode, began = ("closed", "") if mode == "free" else ("free", "release")
-        else:
-            held = plastic or kind == "tail"
-            mode, began = ("locked", "") if held else ("free", "impact")
-    if not records or records[-1]["kind"] != section.end or mode != "free":
+        entries(record, "kind", "set", *kinds[kind], *further)
+        place, here = _passed(machine, here, record)
+        stations.append(place)
+    ended = here.mode == "free" and here.switch < 0 and here.view == machine.start
+    if not records or records[-1]["kind"] != section.end or not ended:
         raise InputError("The certificate's last record must end on the section.")
     return stations
+
+
+def _passed(
+    machine: Machine, here: RecordPosition, record: Mapping[str, Any]
+) -> tuple[RecordPosition, RecordPosition]:
+    """Return the position of a record, and the position after it."""
+    kind, (stop, sides) = record["kind"], here.view
+    if kind == "step":
+        return here, here._replace(began="", crossed=-1)
+    if kind == "cross":
+        met = _met(machine, here, record)
+        place = here._replace(met=met)
+        if met[0] == "switch":
+            return place, place._replace(began="", crossed=-1)
+        if met[0] == "stop":
+            return place, RecordPosition("closed", "", View(met[1], sides))
+        return place, RecordPosition("free", "release", here.view)
+    if "sides" in record:
+        kinks = machine.n_switches - machine.first.n_declared
+        sides = read_sides(kinks, record["sides"])
+    view = View(stop, sides)
+    place = here._replace(after=view)
+    if kind == "switch":
+        return place, RecordPosition(here.mode, "", view, here.switch)
+    held = kind == "tail" or machine.is_plastic(here.view)
+    return place, RecordPosition(*(("locked", "") if held else ("free", "impact")), view)
+
+
+def _met(machine: Machine, here: RecordPosition, record: Mapping[str, Any]) -> tuple[str, int]:
+    """Return kind and index of the event of a crossing."""
+    own = ("stop" if here.mode == "free" else "release", here.view.stop)
+    if not machine.is_graph:
+        return own
+    given = record["meets"]
+    sizes = {"switch": machine.n_switches, "stop": machine.n_stops if here.mode == "free" else 0}
+    known = isinstance(given, list) and len(cast("list[Any]", given)) == 2
+    kind, index = cast("list[Any]", given) if known else ("", -1)
+    if (kind, index) == own and type(index) is int:
+        return own
+    if kind not in sizes or type(index) is not int or not 0 <= index < sizes[kind]:
+        raise InputError("The certificate's `meets` must be a stop, a switch or the own release.")
+    return kind, index
+
+
+def _told(
+    machine: Machine, stations: Sequence[RecordPosition], records: Sequence[Any]
+) -> tuple[str, ...]:
+    """Return the events of a motion in order, in words, without impacts before a Zeno point."""
+    stops, switches = machine.names
+    words, first = list[str](), 0
+    for place, record in zip(stations, records, strict=True):
+        kind, stop = record["kind"], stops[place.view.stop]
+        if kind == "impact":
+            words.append(f"impact on {stop}")
+        if kind == "tail" or (kind == "impact" and machine.is_plastic(place.view)):
+            words[first:] = [f"{'Zeno point' if kind == 'tail' else 'plastic impact'} of {stop}"]
+        elif kind == "switch":
+            words.append(f"switch of {switches[place.switch]}")
+        elif place.met[0] == "release" and kind == "cross":
+            words.append(f"release of {stop}")
+        else:
+            continue
+        first = len(words)
+    return tuple(words)
 
 
 def _about(
@@ -320,7 +398,8 @@ def _about(
     return replace(
         theorem,
         followed=True,
-        releases=first.word[0],
+        releases=first.releases,
+        events=first.told,
         impacts=impacts,
         zeno_points=points,
         plastic=plastic,
@@ -345,7 +424,7 @@ def _others(
 
 
 def _basin(
-    system: System,
+    machine: Machine,
     section: ContactSection,
     parts: Sequence[Any],
     sets: Sequence[Box],
@@ -356,13 +435,13 @@ def _basin(
     The image of each set lies in the interior of the set itself or in the next set. The image of
     the last set may lie in the first box, which must be contracted.
     """
-    images, failed = list[Array](), ""
+    images, failed, system = list[Array](), "", machine.first
     try:
         first = of_one_orbit(passages)[0]
         for k, (part, box) in enumerate(zip(parts, sets, strict=True)):
             entries(part, "degree", "box", "start", "records")
             records = _listed(part, "records")
-            stations = _stations(section, records, POLYNOMIAL_RECORDS, plastic=_is_plastic(system))
+            stations = _stations(machine, section, records, POLYNOMIAL_RECORDS)
             same = _word(stations, records) == first.word
             require(same, f"set {k} belongs to another return map")
             images.append(proved_image(system, section, box, part, stations))
@@ -386,7 +465,7 @@ def _basin(
 
 
 def _word(stations: Sequence[RecordPosition], records: Sequence[Any]) -> tuple[int, int]:
-    """Return the number of releases of a motion, and of impacts after the last release.
+    """Return the number of releases and switches of a motion, and of impacts after the last one.
 
     Together with the section, these numbers determine the return map. An execution is
     deterministic, so maps with the same word are equal, for any number of impacts that are proved
@@ -394,20 +473,13 @@ def _word(stations: Sequence[RecordPosition], records: Sequence[Any]) -> tuple[i
     """
     releases = impacts = 0
     for place, record in zip(stations, records, strict=True):
-        if record["kind"] == "cross" and place.mode == "locked":
+        if record["kind"] == "cross" and place.met[0] in ("release", "switch"):
             releases, impacts = releases + 1, 0
         impacts += record["kind"] == "impact"
     return releases, impacts if records[-1]["kind"] == "impact" else 0
 
 
-def _is_plastic(system: System) -> bool:
-    """Return True if the restitution is exactly zero, independently of the states."""
-    law = system.nodes["law"]
-    varies = not set(system.z).isdisjoint(system.graph.needed(law))
-    return not varies and system.value("law", system.nothing)[0].size == 0
-
-
-def _proved(system: System, box: Box, tasks: Sequence[Any]) -> list[list[list[int]] | str]:
+def _proved(machine: Machine, box: Box, tasks: Sequence[Any]) -> list[list[list[int]] | str]:
     """Prove records, each with its position in the motion and the set before it.
 
     Returns:
@@ -415,14 +487,17 @@ def _proved(system: System, box: Box, tasks: Sequence[Any]) -> list[list[list[in
         reason why it is not proved.
     """
     with fitting_together():
+        system = machine.first
         olds = [_set(system, box, before) for _, before, _ in tasks]
-        steps = _flows(system, olds, tasks)
+        steps = _flows(machine, olds, tasks)
         found = list[list[list[int]] | str]()
         for k, (place, _, record) in enumerate(tasks):
             old, new = olds[k], _set(system, box, record["set"])
             try:
-                mapped = _mapped(system, RecordPosition(*place), old, record, steps.get(k, ""))
+                mapped = _mapped(machine, place, old, record, steps.get(k, ""))
                 require_enclosed(old, mapped, new)
+                if record["kind"] in ("impact", "switch"):
+                    require_sides(machine.systems[place.after], new.hull, place.switch)
             except NotProved as failure:
                 found.append(str(failure))
                 continue
@@ -433,37 +508,41 @@ def _proved(system: System, box: Box, tasks: Sequence[Any]) -> list[list[list[in
 
 
 def _mapped(
-    system: System,
+    machine: Machine,
     place: RecordPosition,
     old: Enclosure,
     record: Mapping[str, Any],
     step: Flow | str,
 ) -> Mapped:
     """Return the image of the set before a record."""
+    system = machine.systems[place.view]
+    if record["kind"] == "switch":
+        return switched(system, old.hull, old.m, place.switch)
     if record["kind"] == "impact":
         return struck(system, old.hull, old.m)
     if record["kind"] == "tail":
         return accumulated(system, old.hull, old.m, record)
     if isinstance(step, str):
         raise NotProved(step)
-    return (
-        stepped(system, place, step)
-        if record["kind"] == "step"
-        else crossed(system, place, step, record)
-    )
+    if record["kind"] == "step":
+        return stepped(system, place, step)
+    met = place.view._replace(stop=place.met[1]) if place.met[0] == "stop" else place.view
+    return crossed(system, machine.systems[met], place, step, record)
 
 
 def _flows(
-    system: System, olds: Sequence[Enclosure], tasks: Sequence[Any]
+    machine: Machine, olds: Sequence[Enclosure], tasks: Sequence[Any]
 ) -> dict[int, Flow | str]:
     """Return the flows of all steps and crossings, together for the same mode and orders."""
     groups: dict[tuple[Any, ...], list[int]] = {}
     for k, (place, _, record) in enumerate(tasks):
         if "orders" in record:
             high, low = orders_of(record)
-            groups.setdefault((place[0], record["kind"], high, low), []).append(k)
+            key = place.view, place.mode, record["kind"], high, low
+            groups.setdefault(key, []).append(k)
     found: dict[int, Flow | str] = {}
-    for (mode, kind, *orders), places in groups.items():
+    for (view, mode, kind, *orders), places in groups.items():
+        system = machine.systems[view]
         steps = {k: number(tasks[k][2]["h"], system.bits) for k in places}
         found |= dict.fromkeys(places, "the step is not positive")
         steps = {k: step for k, step in steps.items() if step.m > 0}

@@ -33,24 +33,28 @@ class Passage:
 
     Attributes:
         places: States that are the section's coordinates.
-        word: Mode sequence of the return map: number of releases, and of impacts after the last
-            release.
+        word: Mode sequence of the return map: number of releases and switches, and of impacts after
+            the last of them.
+        releases: Number of releases.
         events: Number of individually proved impacts, number of Zeno points, and True for plastic
             impacts.
         box: The box.
         box_number: Number of the box in the certificate, from 1.
         end: The set at the end of the passage.
+        told: Events in order, in words, for a machine with several stops, switches or kinks.
         enclosed: Times of events, keyed by name, and the state at the start. For each event, rows
             of the value at the centre and its derivative.
     """
 
     places: Sequence[int]
     word: tuple[int, int]
+    releases: int
     events: tuple[int, int, bool]
     box: Box
     box_number: int
     end: Enclosure
     enclosed: Mapping[str, Sequence[Array]]
+    told: tuple[str, ...] = ()
 
     @property
     def bits(self) -> int:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, cast
 
 import casadi as ca
 
-from zeno_orbits.model import Problem
+from zeno_orbits.model import Problem, system_of_stop
 from zeno_orbits.proof.checker.balls import NotProved
 
 Row = list[int | None]
@@ -142,7 +142,34 @@ class Formulas(NamedTuple):
     n_q: int
 
 
-def formulas_of(problem: Problem) -> Formulas:
+class View(NamedTuple):
+    """A stop of a machine with several stops, switches or kinks, on sides of the kinks."""
+
+    stop: int
+    sides: tuple[bool, ...]
+
+
+def _viewed(problem: Problem, symbols: Mapping[str, ca.SX], view: View | None) -> Any:
+    """Return the system of a view, and the formulas of the other stops and of the switches."""
+    if view is None:
+        return problem.one_stop_model(symbols), ()
+    graph = problem.model(symbols).graph
+    if graph is None or view.stop >= len(graph.stops) or len(view.sides) != len(graph.conditions):
+        raise NotProved("the problem has other stops or kinks than the certificate")
+    if graph.has_current_layers or graph.roots:
+        raise NotProved("the problem has current layers or roots at events")
+    stack: Any = cast("Any", ca).vertcat
+    every = range(len(graph.switches) + len(view.sides))
+    further = (
+        stack(*(one.gap for one in graph.stops)),
+        stack(ca.SX(0, 1), *(graph.guard(view.sides, k) for k in every)),
+        stack(ca.SX(0, 1), *(ca.SX(one.armed) for one in graph.switches)),
+        *graph.resets,
+    )
+    return system_of_stop(graph, ((), view.sides), view.stop), further
+
+
+def formulas_of(problem: Problem, view: View | None = None) -> Formulas:
     """Return the formulas of a problem, which is evaluated once.
 
     The digest belongs to CasADi's instructions. The impact law is evaluated for one impact: from
@@ -150,7 +177,8 @@ def formulas_of(problem: Problem) -> Formulas:
     after the impact.
     """
     symbols = problem.symbols()
-    system = problem.one_stop_model(symbols)
+    system, further = _viewed(problem, symbols, view)
+    is_wide = further and (further[1].numel() or further[0].numel() > 1)
     parts: tuple[Any, ...] = (
         system.free_flow,
         system.locked_flow,
@@ -158,6 +186,7 @@ def formulas_of(problem: Problem) -> Formulas:
         system.impulse_direction,
         system.law_numbers,
         system.holonomic,
+        *(further if is_wide else ()),
     )
     inputs = [system.state, ca.vertcat(*symbols.values())]
     function = ca.Function("system", inputs, [ca.densify(ca.SX(part)) for part in parts])
@@ -174,6 +203,11 @@ def formulas_of(problem: Problem) -> Formulas:
     return Formulas(
         function, struck, inertia, hashlib.sha256(text.encode()).hexdigest(), system.n_q
     )
+
+
+def joined_digest(digests: Iterable[str]) -> str:
+    """Return the digest of a machine from those of its systems, by sides and stop."""
+    return hashlib.sha256("".join(digests).encode()).hexdigest()
 
 
 def _instructions(function: ca.Function) -> Iterator[tuple[str, list[int], list[int], Any]]:

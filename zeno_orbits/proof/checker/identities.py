@@ -181,7 +181,14 @@ def _require_low_degree(graph: Graph, outputs: Sequence[int]) -> None:
 
 
 def require_impacts(
-    graph: Graph, x: Sequence[int], direction: Row, *, gap: int, rate: int, rows: Sequence[int]
+    graph: Graph,
+    x: Sequence[int],
+    direction: Row,
+    *,
+    gap: int,
+    rate: int,
+    rows: Sequence[int],
+    beside: Sequence[tuple[int, int]] = (),
 ) -> None:
     """Check that a change of the state by ``-s D``, of any size ``s``, changes the gap rate alone.
 
@@ -194,9 +201,12 @@ def require_impacts(
         gap: The gap.
         rate: The gap rate.
         rows: The constraint rows.
+        beside: Gap rate of each other stop, and its change per unit change of the gap rate.
     """
     size, struck = graph.put("input"), [node for node in direction if node is not None]
-    nodes = [gap, rate, *rows]
+    others, pushed = [one for one, _ in beside], [along for _, along in beside]
+    nodes = [gap, rate, *rows, *others, *pushed]
+    first = 2 + len(rows)
 
     def evaluate(point: RandomPoint) -> list[int]:
         s, *found = point.values([size, *x, *struck, *nodes])
@@ -208,11 +218,15 @@ def require_impacts(
         }
         before = found[len(x) + len(struck) :]
         before[1] = (before[1] - s) % point.p
+        for k in range(len(beside)):
+            moved_by = s * before[first + len(beside) + k]
+            before[first + k] = (before[first + k] - moved_by) % point.p
         return [*before, *point.values(nodes, moved)]
 
     found = at_random_point(graph, [*nodes, *struck], evaluate)
     what = ["its impacts change the gap", "its impacts change the gap rate in another way"]
     what += [f"constraint {k} is not kept at an impact" for k in range(len(rows))]
+    what += ["its impacts change another gap rate in another way"] * 2 * len(beside)
     for told, before, after in zip(what, found, found[len(nodes) :], strict=False):
         require(before == after, told)
 

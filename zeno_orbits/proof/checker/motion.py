@@ -26,6 +26,13 @@ from zeno_orbits.proof.checker.lanes import (
     matmul,
     where,
 )
+from zeno_orbits.proof.checker.formulas import View
+from zeno_orbits.proof.checker.machine import (
+    ONE_STOP,
+    require_others_apart,
+    require_sides,
+    require_switches,
+)
 from zeno_orbits.proof.checker.series import complex_values, interval, taylor, upper
 from zeno_orbits.proof.checker.system import System
 
@@ -34,10 +41,29 @@ _SWEEPS = 4
 
 
 class RecordPosition(NamedTuple):
-    """Position of a record in the motion: its mode, and the event at the start of its phase."""
+    """Position of a record in the motion.
+
+    Attributes:
+        mode: `free`, `locked`, or `closed` between a crossing and its impact.
+        began: The event at the start of its phase, if the record is the first: a release or an
+            impact of the stop.
+        view: The stop that was met last, and the sides of the kinks.
+        crossed: The switch that was crossed just before, or -1.
+        met: Kind and index of the event of a crossing: a `stop`, a `switch` or a `release`.
+        after: Stop and sides after the record.
+    """
 
     mode: str
     began: str
+    view: View = ONE_STOP
+    crossed: int = -1
+    met: tuple[str, int] = ("", -1)
+    after: View = ONE_STOP
+
+    @property
+    def switch(self) -> int:
+        """The switch of a crossing, or -1."""
+        return self.met[1] if self.met[0] == "switch" else -1
 
 
 class Flow:
@@ -180,6 +206,17 @@ def _horner(series: Array, part: Ball) -> Array:
     return value
 
 
+def _require_events(system: System, place: RecordPosition, flow: Flow, end: Array) -> None:
+    """Check that a step meets no stop and no switch, except that of its crossing."""
+    system.require_defined(flow.box)
+    boxes = flow.old.hull, flow.box, end
+    besides = [system.gap_row]
+    if place.met[0] == "stop" and not system.is_pinned:
+        besides.append(system.n_x + 2 * place.met[1])
+    require_others_apart(system, place.mode, boxes, besides)
+    require_switches(system, place.mode, boxes, crossed=place.crossed, met=place.switch)
+
+
 def stepped(system: System, place: RecordPosition, flow: Flow) -> Mapped:
     """Prove one whole step in one mode.
 
@@ -189,38 +226,50 @@ def stepped(system: System, place: RecordPosition, flow: Flow) -> Mapped:
         flow: The step.
     """
     point, slope, box = flow.at(flow.h)
-    system.require_defined(flow.box)
+    _require_events(system, place, flow, box)
     is_open = system.gap(box).low > 0
     require_apart(system, place, flow.old.hull, flow.box, is_open=is_open)
     return Mapped(point, slope, flow.h, system.nothing)
 
 
-def crossed(system: System, place: RecordPosition, flow: Flow, record: Mapping[str, Any]) -> Mapped:
+def crossed(
+    system: System, met: System, place: RecordPosition, flow: Flow, record: Mapping[str, Any]
+) -> Mapped:
     """Prove the crossing of the guard in a last step: the gap closes, or ``-a`` vanishes.
 
     With ``g`` the guard, the derivative is ``(1 - f grad g / (grad g . f)) D phi``.
 
     Args:
-        system: The system of the certificate.
+        system: The system of the mode.
+        met: The system of the stop that is met, or the same one.
         place: Position of the record in the motion.
         flow: The step.
         record: Its entries.
     """
-    bits, free = system.bits, place.mode == "free"
-    system.require_defined(flow.box)
+    bits, strikes = system.bits, place.met[0] == "stop"
+    end = flow.at(flow.h)[2]
+    _require_events(system, place, flow, end)
     a, b = numbers(record["window"], (2,), bits)
     first, last = numbers(record["centre"], (2,), bits)
     require(0 <= a.m <= first.m <= last.m <= b.m <= flow.h.m, "the windows are not nested")
     for time, whole, sign in ((a, True, 1), (b, True, -1), (first, False, 1), (last, False, -1)):
-        value = _guard(system, flow, time, whole=whole, free=free)
+        value = _guard(met, place, flow, time, whole=whole)
         if (value * sign).low <= 0:
             raise NotProved(f"the guard may vanish outside its window: {value.shown()}")
     _, slope, box = flow.at(between(a.low, b.high, bits))
-    if free:
-        gradient, rate = system.identity[system.gap_row] * system.unit, system.gap_rate(box)
-        is_open = system.gap(flow.at(a)[2]).low > 0
-        require_apart(system, place, flow.old.hull, flow.box, is_open=is_open, last=True)
-    else:
+    same, start = met is system, flow.old.hull
+    if strikes:
+        gradient, rate = met.identity[met.gap_row] * met.unit, met.gap_rate(box)
+        is_open = met.gap(flow.at(a)[2]).low > 0
+        began = place if same else place._replace(began="")
+        require_apart(met, began, start, flow.box, is_open=is_open, last=True)
+    if place.switch >= 0 or (strikes and not same):
+        require_apart(system, place, start, flow.box, is_open=system.gap(end).low > 0)
+    if place.switch >= 0:
+        sign, k = system.signs[place.switch], place.switch
+        gradient = system.gradient("guards", box)[k] * sign
+        rate = system.value(f"guards_{place.mode}", box)[k] * sign
+    elif not strikes:
         gradient = -system.gradient("acceleration", box)[0]
         rate, falling = (-system.value("locked_jerk", where)[0] for where in (box, flow.box))
         require(falling.high < 0, f"the multiplier's rate may be {falling.shown()}")
@@ -229,18 +278,23 @@ def crossed(system: System, place: RecordPosition, flow: Flow, record: Mapping[s
     slope = slope + np.outer(system.rates(place.mode, box), delay)
     time = between(first.low, last.high, bits)
     point = flow.at(time)[0]
-    if free:
-        point[system.gap_row], slope[system.gap_row] = system.stop, system.nothing
+    if strikes:
+        point[met.gap_row], slope[met.gap_row] = met.stop, met.nothing
     return Mapped(point, slope, time, delay)
 
 
-def _guard(system: System, flow: Flow, time: Ball, *, whole: bool, free: bool) -> Ball:
+def _guard(
+    system: System, place: RecordPosition, flow: Flow, time: Ball, *, whole: bool
+) -> Ball:
     """Return the guard at a time in a step, for the point alone or for the whole set."""
     point, slope, box = flow.at(time)
-    if free:
+    if place.met[0] == "stop":
         return system.gap(box if whole else point)
-    value = -system.value("acceleration", point)[0]
-    gradient = -system.gradient("acceleration", box)[0]
+    name, k, sign = "acceleration", 0, -1
+    if place.switch >= 0:
+        name, k, sign = "guards", place.switch, system.signs[place.switch]
+    value = system.value(name, point)[k] * sign
+    gradient = system.gradient(name, box)[k] * sign
     return value + flow.old.moved(gradient @ slope) if whole else value
 
 
@@ -290,21 +344,39 @@ def struck(system: System, box: Array, m: Array) -> Mapped:
         box: Box of the states before it.
         m: A state in the box.
     """
-    n_x, row = system.n_x, system.rate_row
+    row = system.rate_row
     e, at_point = system.value("law", box)[0], system.value("law", m)[0]
     e_slope, rate_slope = system.gradient("law", box)[0], system.identity[row] * system.unit
     rate, along = system.gap_rate(box), system.value("direction", box)
     fall = (e + 1) * rate
     fall = between(min(fall.low, 0), max(fall.high, 0), system.bits)
-    system.require_defined(np.concatenate([box[:n_x] - along * fall, box[n_x:]]))
+    moved, change = box.copy(), system.settling
+    moved[change] = box[change] - along * fall
+    system.require_defined(moved)
     drop = system.gradient("direction", box) * rate + np.outer(along, rate_slope)
     point, slope = m.copy(), system.identity
     speed = (at_point + 1) * system.gap_rate(m)
-    point[:n_x] = point[:n_x] - system.value("direction", m) * speed
-    slope[:n_x] = slope[:n_x] - drop * (e + 1) - np.outer(along, e_slope) * rate
+    point[change] = point[change] - system.value("direction", m) * speed
+    slope[change] = slope[change] - drop * (e + 1) - np.outer(along, e_slope) * rate
     point[system.gap_row], slope[system.gap_row] = system.stop, system.nothing
     point[row], slope[row] = -(at_point * m[row]), e_slope * -box[row]
     slope[row, row] = slope[row, row] - e
+    return Mapped(point, slope, Ball(0, 0, system.bits), system.nothing)
+
+
+def switched(system: System, box: Array, m: Array, switch: int) -> Mapped:
+    """Return the state after a switch: the reset of a declared switch, or the same state.
+
+    Args:
+        system: The system of the certificate.
+        box: Box of the states before it.
+        m: A state in the box.
+        switch: The switch.
+    """
+    point, slope, n = m.copy(), system.identity, system.n_x
+    if switch < system.n_declared:
+        point[:n] = system.value(f"reset {switch}", m)
+        slope[:n] = system.gradient(f"reset {switch}", box)
     return Mapped(point, slope, Ball(0, 0, system.bits), system.nothing)
 
 
@@ -327,14 +399,19 @@ def accumulated(system: System, box: Array, m: Array, record: Mapping[str, Any])
         m: A state in the box.
         record: Its entries.
     """
-    bits, n_x, inner = system.bits, system.n_x, system.inner
+    bits, settling, inner = system.bits, system.settling, system.inner
+    n = len(settling)
     speed, w = number(record["speed"], bits), system.gap_rate(box)
     require(w.low > 0 and w.high < speed.m, f"the speed after the impact is {w.shown()}")
     radius = numbers(record["radius"], (len(inner),), bits)
     discs = {place: (ball, Ball(0, 0, bits)) for place, ball in system.constants.items()}
     discs |= {system.z[k]: (box[k], r) for k, r in zip(inner, radius, strict=True)}
     wide = zip(inner, radius, strict=True)
-    system.require_inertia(_replaced(box, {k: box[k] + around_zero(r) for k, r in wide}))
+    around = _replaced(box, {k: box[k] + around_zero(r) for k, r in wide})
+    system.require_inertia(around)
+    require_sides(system, around)
+    for k in system.gap_rows:
+        require(k == system.gap_row or around[k].low > 0, "another gap may close in the tail")
     nodes = [node for k in ("free", "direction", "law", "acceleration") for node in system.nodes[k]]
     complex_values(system.graph, discs, [*system.nodes["gap"], *system.nodes["constraints"]])
     *found, fall = complex_values(system.graph, discs, nodes)
@@ -350,18 +427,18 @@ def accumulated(system: System, box: Array, m: Array, record: Mapping[str, Any])
     fast, room = interval(speed), interval(Ball(speed.m - w.high, 0, bits))
     w = interval(w).b
     point, slope = m.copy(), system.identity
-    c = [flight * bound[i] + (1 + e) * kappa * bound[n_x + i] for i in range(n_x)]
-    reach = [fast * (flight * bound[i] + c[i] / left) for i in range(n_x)]
-    reach += [0] * (len(inner) - n_x)
+    c = [flight * bound[i] + (1 + e) * kappa * bound[n + i] for i in range(n)]
+    reach = [fast * (flight * bound[i] + c[i] / left) for i in range(n)]
+    reach += [0] * (len(inner) - n)
     delta = [interval(r) - s for r, s in zip(radius, reach, strict=True)]
     require(all(bool(x > 0) for x in delta), "the polydisc is too small")
-    for i in range(n_x):
+    for i, place in enumerate(settling):
         moved = c[i] * w / left
-        point[i] = point[i] + around_zero(upper(moved, bits))
+        point[place] = point[place] + around_zero(upper(moved, bits))
         for k, x in zip(inner, delta, strict=True):
-            slope[i, k] = slope[i, k] + around_zero(upper(moved / x, bits))
+            slope[place, k] = slope[place, k] + around_zero(upper(moved / x, bits))
         by_speed = upper(c[i] * fast / (left * room), bits) * system.unit
-        slope[i, system.rate_row] = slope[i, system.rate_row] + around_zero(by_speed)
+        slope[place, system.rate_row] = slope[place, system.rate_row] + around_zero(by_speed)
     for row, value in ((system.gap_row, system.stop), (system.rate_row, Ball(0, 0, bits))):
         point[row], slope[row] = value, system.nothing
     time = between(0, upper(flight * w / left, bits).m, bits)

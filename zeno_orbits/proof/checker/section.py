@@ -140,7 +140,7 @@ def newton_of(system: System, section: ContactSection, box: Box) -> tuple[Any, A
         box: The box.
     """
     n = len(section.others)
-    inner = [*section.places, *system.inner[system.n_x :]]
+    inner = [*section.places, *system.varied]
 
     def state(coordinates: Array, others: Array) -> Array:
         z = system.nothing
@@ -219,7 +219,7 @@ def require_start(system: System, section: ContactSection, box: Box, start: Encl
         box: The box.
         start: The set.
     """
-    D, inner = len(box.spread), [*section.places, *system.inner[system.n_x :]]
+    D, inner = len(box.spread), [*section.places, *system.varied]
     newton, state = newton_of(system, section, box)
 
     def narrowed(spread: Array) -> tuple[Array, Array]:
@@ -238,9 +238,11 @@ def require_start(system: System, section: ContactSection, box: Box, start: Encl
     slope[section.others] = by_u
     still = exactly(np.zeros(D, dtype=int), system.bits)
     point = state(box.centre, narrowed(still)[0])
-    if not system.is_pinned and not section.settled:
-        point[system.rate_row] = system.value("gap_rate", point)[0]
-        slope[system.rate_row] = system.gradient("gap_rate", everywhere)[0] @ slope
+    kept = {system.gap_row, *([system.rate_row] if section.settled else [])}
+    computed = [k for k in range(system.n_x, len(system.z) - len(system.varied)) if k not in kept]
+    values, slopes = system.value("stops", point), system.gradient("stops", everywhere)
+    for k in computed:
+        point[k], slope[k] = values[k - system.n_x], slopes[k - system.n_x] @ slope
     whole, one = np.concatenate([point[:, None], slope], axis=1), system.identity
     exact = Enclosure(whole, one, exactly(np.zeros(whole.shape, dtype=int), system.bits), still)
     require_enclosed(exact, Mapped(point, one, Ball(0, 0, system.bits), system.nothing), start)

@@ -23,7 +23,7 @@ import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.proof.checker.balls import Array, Ball, exactly, require
-from zeno_orbits.proof.checker.formulas import Formulas, Graph, Row, require_analytic, walked
+from zeno_orbits.proof.checker.formulas import Formulas, Graph, Row, View, require_analytic, walked
 from zeno_orbits.proof.checker.identities import are_equal, require_impacts, require_kept
 from zeno_orbits.proof.checker.series import values
 
@@ -45,10 +45,21 @@ class System:
         rate_row: Index of the state that determines the gap rate.
         unit: Derivative of the gap with respect to this state.
         stop: Value of this state on the stop.
+        settling: Indices of the states that an impact may change: the states of the problem, and
+            gap and gap rate of the other stops.
+        varied: Indices of the parameters that vary.
+        signs: Factor of the guard of each switch: 1, or -1 for a kink on its negative side.
+        n_declared: Number of declared switches, which precede the kinks.
+        changed: States that the reset of each declared switch changes.
     """
 
     graph: Graph
     n_x: int
+    settling: list[int]
+    varied: list[int]
+    signs: list[int]
+    n_declared: int
+    changed: list[list[int]]
     z: list[int]
     constants: dict[int, Ball]
     flow: dict[str, Row]
@@ -73,8 +84,12 @@ class System:
     @property
     def inner(self) -> list[int]:
         """Indices of the states that formulas depend on: states of the problem, and parameters."""
-        carried = () if self.is_pinned else (self.gap_row, self.rate_row)
-        return [k for k in range(len(self.z)) if k not in carried]
+        return [*self.settling, *self.varied]
+
+    @property
+    def gap_rows(self) -> range:
+        """Indices of the gaps that are additional states. Each is followed by its rate."""
+        return range(self.n_x, len(self.z) - len(self.varied), 2)
 
     @property
     def nothing(self) -> Array:
@@ -138,7 +153,11 @@ class System:
 
 
 def bound_system(
-    formulas: Formulas, numbers: Mapping[str, Ball], over: Sequence[str], row: int | None
+    formulas: Formulas,
+    numbers: Mapping[str, Ball],
+    over: Sequence[str],
+    row: int | None,
+    view: View | None = None,
 ) -> System:
     """Return the nodes of a problem at given parameter values.
 
@@ -148,6 +167,7 @@ def bound_system(
         over: Names of the parameters that vary.
         row: Index of the only coordinate in the gap, or ``None`` if gap and gap rate are additional
             states.
+        view: The stop and the sides of a machine with several stops, switches or kinks.
 
     Raises:
         InputError: If the lemmas do not apply to the problem.
@@ -156,12 +176,16 @@ def bound_system(
     bits = next(iter(numbers.values())).bits
     x = [graph.put("input") for _ in range(n_x)]
     p = {name: graph.put("input") for name in numbers}
-    free, _, contact, along, (law, *faster), rows = walked(
+    free, _, contact, along, (law, *faster), rows, *further = walked(
         formulas.function, graph, [x, list(p.values())]
     )
+    gaps, guards, armed, *resets = further or ([contact[0]], [], [])
     require(not faster, "its restitution depends on the impact speed, and Lemma 10 has a constant")
     gap = contact[0]
-    require_analytic(graph, [*free, gap, *along, law, *rows])
+    require_analytic(graph, [*free, *along, law, *rows])
+    require_analytic(graph, [*gaps, *guards, *armed, *(node for one in resets for node in one)])
+    stop = 0 if view is None else view.stop
+    require(gaps[stop] == gap, "the gap is not that of its stop")
     constant = set(x).isdisjoint(graph.needed([law]))
     require(constant, "its restitution is not constant")
 
@@ -178,6 +202,8 @@ def bound_system(
     if not are_equal(graph, [response], [graph.one]):
         along = [None if node is None else graph.put("div", node, response) for node in along]
     D = along
+    if view is not None:
+        _require_positions(graph, x, n_q, free, D, gaps)
     force = graph.put("neg", acceleration)
     # If coordinates determine gap and gap rate, the locked flow keeps them constant.
     pinned = () if row is None else (row, n_q + row)
@@ -187,27 +213,51 @@ def bound_system(
     ]
     _require_newton(formulas, graph, x, list(p.values()), law)
     rates = [derivative(node, nothing) for node in rows]
-    require_impacts(graph, x, D, gap=gap, rate=rate, rows=rows)
+    gap_rates = [derivative(node, nothing) for node in gaps]
+    pushed = [derivative(node, D) for node in gap_rates]
+    beside = [k for k in range(len(gaps)) if k != stop]
+    pairs = [(gap_rates[k], pushed[k]) for k in beside]
+    require_impacts(graph, x, D, gap=gap, rate=rate, rows=rows, beside=pairs)
     require_kept(graph, rows, rates)
     (masses,) = walked(formulas.inertia, graph, [x, list(p.values())])
     require_analytic(graph, masses)
+    carried = [graph.put("input") for _ in range(2 * len(gaps) if row is None else 0)]
+    lifted = [derivative(node, nothing) for node in gap_rates]
+    at_stops = {"free": list[int | None](), "locked": list[int | None](), "direction": [None] * 0}
+    for k in range(len(carried) // 2):
+        pull = graph.total(lifted[k], graph.product(force, pushed[k])) if k != stop else None
+        at_stops["free"] += [carried[2 * k + 1], lifted[k]]
+        at_stops["locked"] += [carried[2 * k + 1] if k != stop else None, pull]
+        at_stops["direction"] += [None, pushed[k]]
+    own = (n_x + 2 * stop, n_x + 2 * stop + 1) if carried else ()
+    settling = [k for k in range(n_x + len(carried)) if k not in own]
+
+    def settled(states: Sequence[int | None], stops: Sequence[int | None]) -> Row:
+        every = [*states, *stops]
+        return [every[k] for k in settling]
+
     nodes: dict[str, Row] = {
-        "free": [*nothing],
+        "free": settled(nothing, at_stops["free"]),
         "gap": [gap],
         "gap_rate": [rate],
         "acceleration": [acceleration],
         "jerk": [derivative(acceleration, nothing)],
         "locked_jerk": [derivative(acceleration, locked)],
-        "direction": [*D],
+        "direction": settled(D, at_stops["direction"]),
         "law": [law],
         "constraints": [*rows],
+        "stops": [node for pair in zip(gaps, gap_rates, strict=True) for node in pair],
+        "guards": [*guards],
+        "armed": [*armed],
+        "guards_free": [derivative(node, nothing) for node in guards],
+        "guards_locked": [derivative(node, locked) for node in guards],
+        **{f"reset {k}": [*one] for k, one in enumerate(resets)},
     }
-    carried = [graph.put("input") for _ in range(2 if row is None else 0)]
     z = [*x, *carried, *(p[name] for name in over)]
     rest: Row = [None] * (len(z) - n_x)
     flow: dict[str, Row] = {
-        "free": [*nothing, *([carried[1], acceleration] if carried else []), *rest][: len(z)],
-        "locked": [*locked, *rest],
+        "free": [*nothing, *at_stops["free"], *rest][: len(z)],
+        "locked": [*locked, *at_stops["locked"], *rest][: len(z)],
     }
     one_hot = {place: [graph.one if k == place else None for k in z] for place in z}
     every = [
@@ -218,11 +268,11 @@ def bound_system(
         zip(every, graph.tangents(every, one_hot), strict=True)
     ) | {None: none}
     nodes["inertia"] = [*masses]
-    unit, stop = Ball(1 << bits, 0, bits), Ball(0, 0, bits)
+    unit, origin = Ball(1 << bits, 0, bits), Ball(0, 0, bits)
     constants = {p[name]: ball for name, ball in numbers.items() if name not in over}
     if row is not None:
         require(free[row] == x[n_q + row], "the rate of the gap's coordinate is not a state")
-        unit, stop = _coordinate(graph, gap, x[row], constants, bits)
+        unit, origin = _coordinate(graph, gap, x[row], constants, bits)
     return System(
         graph=graph,
         n_x=n_x,
@@ -232,11 +282,34 @@ def bound_system(
         slopes={mode: [tangents[node] for node in nodes] for mode, nodes in flow.items()},
         nodes=nodes,
         tangents=tangents,
-        gap_row=n_x if row is None else row,
-        rate_row=n_x + 1 if row is None else n_q + row,
+        gap_row=own[0] if row is None else row,
+        rate_row=own[1] if row is None else n_q + row,
         unit=unit,
-        stop=stop,
+        stop=origin,
+        settling=settling,
+        varied=list(range(len(z) - len(over), len(z))),
+        signs=[*(1 for _ in armed), *(1 if side else -1 for side in (view.sides if view else ()))],
+        n_declared=len(armed),
+        changed=[[k for k, node in enumerate(one) if node != x[k]] for one in resets],
     )
+
+
+def _require_positions(
+    graph: Graph,
+    x: Sequence[int],
+    n_q: int,
+    free: Sequence[int],
+    direction: Row,
+    gaps: Sequence[int],
+) -> None:
+    """Check that gaps depend on coordinates, whose rates are states that no impulse changes them.
+
+    Then all systems of a machine have the same gap rates, on all sides of the kinks.
+    """
+    require([*free[:n_q]] == [*x[n_q : 2 * n_q]], "the rate of a coordinate is not a state")
+    require(not any(direction[:n_q]), "an impact changes a coordinate")
+    of_gaps = graph.needed(gaps)
+    require(set(x[n_q:]).isdisjoint(of_gaps), "a gap depends on other states than coordinates")
 
 
 def _require_newton(

@@ -40,6 +40,8 @@ class Theorem:
             intervals.
         followed: True if the motion from the first box is proved.
         releases: Number of releases per period.
+        events: All events of a period in order, in words, for a machine with several stops, switches
+            or kinks. Impacts that accumulate belong to their Zeno point.
         impacts: Number of individually proved impacts per period.
         zeno_points: Number of Zeno points per period.
         plastic: True if the restitution is zero. A single impact then starts contact.
@@ -58,6 +60,7 @@ class Theorem:
     box: Mapping[str, tuple[Fraction, Fraction]] = field(default_factory=dict[str, Any])
     smaller: tuple[Mapping[str, tuple[Fraction, Fraction]], ...] = ()
     releases: int = 0
+    events: tuple[str, ...] = ()
     impacts: int = 0
     zeno_points: int = 0
     plastic: bool = False
@@ -96,6 +99,7 @@ class Theorem:
             *(f"Box {k} of the section: {_shown(*box)}." for k, box in enumerate(boxes, start=1)),
             *([f"{basin}: {_shown(self.basin, self.basin_others)}."] if self.basin else []),
             *([f"In a period: {events}."] if self.followed else []),
+            *([f"Events in order: {', '.join(self.events)}."] if self.events else []),
         ]
 
     def as_json(self) -> dict[str, Any]:
@@ -106,6 +110,7 @@ class Theorem:
             "impacts_one_by_one": self.impacts,
             "zeno_points": self.zeno_points,
             "plastic": self.plastic,
+            "events": list(self.events),
         }
         return {
             "problem": self.problem,

@@ -12,7 +12,7 @@ from flint import arb
 from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, Matrix, column, identity, matrix
-from zeno_orbits.proof.arithmetic.expressions import proof_expressions
+from zeno_orbits.proof.arithmetic.expressions import MachineView, proof_expressions
 from zeno_orbits.proof.arithmetic.program import BallProgram
 from zeno_orbits.proof.integration.flow import BallFlow
 
@@ -47,6 +47,7 @@ class BallSystem:
         rate: Index of the gap rate.
         plastic: True for a restitution of zero.
         struck: True if the section holds the states just after an impact, False for releases.
+        view: The stop and the sides, None for a machine with one stop and no switch.
         gap_offset: Gap at the zero of its coordinate.
         units: Units of the states, powers of two, ``(n,)``.
         period: Time scale of the motion, for the sizes of steps [s].
@@ -62,6 +63,7 @@ class BallSystem:
         period: float = 1.0,
         *,
         struck: bool = False,
+        view: MachineView | None = None,
     ) -> None:
         """Translate the problem.
 
@@ -71,26 +73,34 @@ class BallSystem:
             over: Gains or parameters that become states of rate zero.
             period: Approximate duration of the motion [s].
             struck: True if the section holds the states just after an impact.
+            view: The stop and the sides of a machine with several stops, switches or kinks.
 
         Raises:
             TranslationError: If an operation of the problem is not analytic.
         """
         carried, self.period, self.struck = tuple(over or ()), period, struck
+        self.view = view
         named = dict(zip(problem.names, map(float, values.vector), strict=True))
-        own, n_x = problem.dynamics(values).own, len(problem.state_names)
-        sizes = (*own.states(n_x), own.gap, own.gap_rate, *(named[name] for name in carried))
+        n_x, n_stops = len(problem.state_names), 1
+        if view is None:
+            own = problem.dynamics(values).own
+        else:
+            graph = problem.graph_dynamics(values)
+            own, n_stops = graph.own, len(graph.stop_names)
+        sizes = (*own.states(n_x), *(own.gap, own.gap_rate) * n_stops)
+        sizes += tuple(named[name] for name in carried)
         units = [power_of_two(size) for size in sizes]
-        e = self.expressions = proof_expressions(problem, carried, units)
-        self.units = units if e.coordinate is None else [*units[:n_x], *units[n_x + 2 :]]
+        e = self.expressions = proof_expressions(problem, carried, units, view)
+        last = n_x + 2 * n_stops
+        self.units = units if e.coordinate is None else [*units[:n_x], *units[last:]]
         offset = e.coordinate.offset if e.coordinate else ca.SX(0)
         self.carried = {
-            name: arb(named[name]) / unit
-            for name, unit in zip(carried, units[n_x + 2 :], strict=True)
+            name: arb(named[name]) / unit for name, unit in zip(carried, units[last:], strict=True)
         }
         exact = [arb(float(named[name])) for name in problem.names if name not in carried]
         self.numbers = [*exact, *(arb(value) for value in e.constants)]
         self.n, self.gap, self.rate = e.states.numel(), e.gap_place, e.rate_place
-        self.n_x = self.n - len(carried) - (2 if e.coordinate is None else 0)
+        self.n_x = n_x
         self._law = self._program(e.restitution, ca.densify(ca.gradient(e.restitution, e.states)))
         centre = [ZERO] * (self.n - len(carried)) + list(self.carried.values())
         varies = ca.depends_on(e.restitution, e.states)
@@ -106,7 +116,12 @@ class BallSystem:
         equations = e.struck_constraints if struck else e.constraints
         gradient = ca.jacobian(equations, e.states)
         self.constraints = self._program(equations, gradient)
-        self._gap_rate = self._program(e.gap_rate, ca.densify(ca.gradient(e.gap_rate, e.states)))
+        self._stops = self._program(e.gaps, ca.densify(ca.jacobian(e.gaps, e.states)))
+        slopes = ca.densify(ca.jacobian(e.guards, e.states))
+        self._guards = self._program(e.guards, slopes, e.armed)
+        self._resets = [
+            self._program(one, ca.densify(ca.jacobian(one, e.states))) for one in e.resets
+        ]
         self.constraint_places = list(zip(*gradient.sparsity().get_triplet(), strict=True))
 
     def turning_rows(self, rate: Ball | None) -> list[int]:
@@ -142,19 +157,56 @@ class BallSystem:
         )
 
     @property
-    def carries_gap(self) -> bool:
-        """True if gap and gap rate are additional states."""
-        return self.expressions.coordinate is None
+    def carried_stops(self) -> list[int]:
+        """Indices of gaps and gap rates that are additional states."""
+        pinned = self.expressions.coordinate is not None
+        return [] if pinned else list(range(self.n_x, self.n_x + 2 * self.expressions.n_stops))
 
     @property
     def stopped(self) -> tuple[int, ...]:
         """Indices of the states that are zero on the section."""
         return (self.gap,) if self.struck else (self.gap, self.rate)
 
-    def gap_rate(self, y: Sequence[Ball]) -> tuple[Ball, list[Ball]]:
-        """Return the gap rate as a function of the problem's states, and its derivatives."""
-        (rate,), slopes = self._gap_rate(y)
-        return rate, slopes
+    def stops(self, y: Sequence[Ball]) -> tuple[list[Ball], list[list[Ball]]]:
+        """Return gap and gap rate of all stops as functions of the problem's states.
+
+        Returns:
+            The values, and the derivatives of each value, ``(n,)``.
+        """
+        values, slopes = self._stops(y)
+        return values, _rows(slopes, len(values))
+
+    def guards(self, y: Sequence[Ball]) -> list[tuple[Ball, list[Ball]]]:
+        """Return the guard of each switch with its gradient. On its side a kink's is positive."""
+        values, slopes, _ = self._guards(y)
+        signs = self.guard_signs
+        rows = _rows(slopes, len(values))
+        return [
+            (sign * value, [sign * x for x in row])
+            for sign, value, row in zip(signs, values, rows, strict=True)
+        ]
+
+    @property
+    def guard_signs(self) -> list[int]:
+        """Factor of each guard: 1, or -1 for a kink whose condition is negative."""
+        sides = self.view.sides if self.view else ()
+        return [*(1 for _ in self._resets), *(1 if side else -1 for side in sides)]
+
+    @property
+    def n_declared(self) -> int:
+        """Number of declared switches, which precede the kinks."""
+        return len(self._resets)
+
+    def armed(self, y: Sequence[Ball]) -> list[Ball]:
+        """Return the formulas `armed` of the declared switches."""
+        return self._guards(y)[2]
+
+    def switched(self, switch: int, y: Sequence[Ball]) -> tuple[list[Ball], Matrix]:
+        """Return the state after a switch, ``(n,)``, and its derivative, ``(n, n)``."""
+        if switch >= len(self._resets):
+            return list(y), identity(self.n)
+        after, slopes = self._resets[switch](y)
+        return after, matrix(_rows(slopes, self.n), self.n)
 
     def undefined(self, y: Sequence[Ball]) -> str:
         """Return why the gap or a constraint is not proved to be analytic, real or complex."""
@@ -209,6 +261,11 @@ class BallSystem:
         dense = [ca.densify(one) if one.shape[1] == 1 else one for one in outputs]
         function = ca.Function("part", [e.states, e.numbers], dense, {"cse": True})
         return BallProgram(function, self.numbers)
+
+
+def _rows(columns: Sequence[Ball], n: int) -> list[list[Ball]]:
+    """Return the rows of a matrix of ``n`` rows that is given by columns."""
+    return [list(columns[k::n]) for k in range(n)]
 
 
 def power_of_two(size: float) -> float:

@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 from flint import acb, arb
 
@@ -49,6 +50,11 @@ _SPARE_OF_POINT = 16.0
 _LEAST_WINDOW = arb(2) ** -80
 """Smallest half width of a window, per period, so that the fixed-point checker separates the
 guard from 0. Its remainders are larger than those of the prover."""
+_CLEAR = 1.5
+"""Smallest distance from zero of an interval on the box of a step, as a multiple of its radius.
+
+The box of the checker's arithmetic is another box.
+"""
 _TRIES = 12
 _GRID = 16
 """Number of intervals of the time in which a crossing is located."""
@@ -67,7 +73,26 @@ class _Guard:
     terms: Callable[[Sequence[Ball]], tuple[list[Ball], list[Ball]]]
 
 
-def _guard(system: BallSystem, departure: Departure) -> _Guard:
+class Meeting(NamedTuple):
+    """An event of a flow: a stop is met or released, or a switch.
+
+    Attributes:
+        kind: ``stop``, ``release`` or ``switch``.
+        index: Index of the stop or of the switch.
+    """
+
+    kind: str
+    index: int
+
+
+def _guard(system: BallSystem, departure: Departure, met: Meeting) -> _Guard:
+    flow = system.locked if departure is Departure.LOCKED else system.free
+    if met.kind == "switch":
+        k = met.index
+        return _Guard(
+            value=lambda y: system.guards(y)[k][0],
+            terms=lambda y: (system.guards(y)[k][1], flow.rate(y)),
+        )
     if departure is Departure.LOCKED:
         locked = system.locked
         return _Guard(value=lambda y: locked.guard(y)[0], terms=lambda y: locked.guard(y)[1:])
@@ -77,24 +102,31 @@ def _guard(system: BallSystem, departure: Departure) -> _Guard:
 
 
 def cross(
-    system: BallSystem, stage: ProofStage, step: FlowStep, series: list[Series], guess: Ball
+    system: BallSystem,
+    stage: ProofStage,
+    step: FlowStep,
+    series: list[Series],
+    guess: Ball,
+    met: Meeting,
 ) -> tuple[ProofRecord, ProofStage]:
     """Enclose a crossing in a step and return its record and the set on the guard.
 
     The caller must ensure that the guard falls to zero only once in the step.
 
     Args:
-        system: The problem.
+        system: The problem, with the stop that is met.
         stage: The set at the start of the step.
         step: The step.
         series: Taylor coefficients of the middle of the set.
         guess: Time of the crossing from the start of the step.
+        met: The event.
 
     Raises:
         ProofError: If it is not proved that all motions cross once in the step.
     """
-    claim = "release" if stage.departure is Departure.LOCKED else "impact"
-    guard, locked = _guard(system, stage.departure), stage.departure is Departure.LOCKED
+    claim = {"stop": "impact"}.get(met.kind, met.kind)
+    guard, locked = _guard(system, stage.departure, met), stage.departure is Departure.LOCKED
+    strikes = met.kind == "stop"
 
     def spread(time: Ball) -> list[Ball]:
         return product(step.derivative(time), stage.at.deviation)
@@ -124,15 +156,108 @@ def cross(
     row = matrix([gradient], n) * whole / -falls
     derivative = whole + column(rate) * row
     image = step.point(series, middle)
-    if not locked:
+    if strikes:
         image[system.gap] = ZERO
         derivative = _without_rows(derivative, (system.gap,))
     rows = system.turning_rows(None if locked else image[system.rate])
+    if met.kind == "switch" and not locked:
+        rows = system.moving_rows
     result = stage.at.mapped(image, derivative, rows, stage.metric)
-    after = Departure.RELEASED if locked else Departure.STRUCK
+    after = stage.departure
+    if met.kind != "switch":
+        after = Departure.RELEASED if locked else Departure.STRUCK
+    elif not locked:
+        after = Departure.FLYING
     numbers = {"h": step.size, "window": [a, b], "centre": [a_m, b_m]}
-    record = ProofRecord(kind="cross", numbers=numbers, orders=step.orders, result=result)
+    fields = {"meets": list(met)} if system.view else {}
+    record = ProofRecord(
+        kind="cross", numbers=numbers, orders=step.orders, result=result, fields=fields
+    )
     return record, stage.next(result, after, stage.timed(middle, row))
+
+
+def switch_guess(
+    system: BallSystem, stage: ProofStage, points: list[Series], within: float
+) -> tuple[float, Meeting] | None:
+    """Return an approximate time at which the middle of a set meets a switch, and the switch.
+
+    Args:
+        system: The problem.
+        stage: The set and its mode.
+        points: Taylor coefficients of the middle of the set.
+        within: Length of the search interval [s].
+    """
+    if not system.guard_signs:
+        return None
+
+    def values(time: float) -> list[float]:
+        at = [arb(_horner([float(c.mid()) for c in one], time)) for one in points]
+        found = [float(value.mid()) for value, _ in system.guards(at)]
+        armed = [float(value.mid()) for value in system.armed(at)]
+        # A declared switch that is not armed is far from an event.
+        return [x if k >= len(armed) or armed[k] > 0 else 1.0 for k, x in enumerate(found)]
+
+    times = [within * k / _GRID for k in range(_GRID + 1)]
+    rows = [values(time) for time in times]
+    for j, (left, right) in enumerate(pairwise(rows)):
+        crossed = [
+            k
+            for k, (a, b) in enumerate(zip(left, right, strict=True))
+            if a > 0.0 >= b and (j or k != stage.switched)
+        ]
+        found = [
+            (_bisected(lambda time, k=k: values(time)[k], times[j], times[j + 1]), k)
+            for k in crossed
+        ]
+        if found:
+            time, k = min(found)
+            return time, Meeting("switch", k)
+    return None
+
+
+def switch_reason(
+    system: BallSystem,
+    stage: ProofStage,
+    box: Sequence[Ball],
+    end: Sequence[Ball],
+    met: Meeting | None,
+) -> str:
+    """Return why a switch is not proved to be met only as expected on a step, or an empty text.
+
+    Args:
+        system: The problem.
+        stage: The set at the start of the step.
+        box: Box that contains all motions over the step.
+        end: States at the end of the step.
+        met: The event that ends the step, if there is one.
+    """
+    if not system.guard_signs:
+        return ""
+    flow = system.locked if stage.departure is Departure.LOCKED else system.free
+    speeds, armed = flow.rate(box), system.armed(box)
+    parts = zip(system.guards(box), system.guards(stage.at.box), system.guards(end), strict=True)
+    for k, ((value, gradient), (first, _), (last, _)) in enumerate(parts):
+        slope = sum((g * f for g, f in zip(gradient, speeds, strict=True)), ZERO)
+        recent, declared = stage.switched == k, k < system.n_declared
+        falls, rises = is_clear(-slope), is_clear(slope)
+        if met == Meeting("switch", k):
+            holds = falls and is_clear(first) and (not declared or is_clear(armed[k]))
+            if not holds:
+                return f"switch {k} is not proved to be met once ({slope})"
+            continue
+        above = not (recent and declared) and (recent or is_clear(first))
+        holds = is_clear(value) or (rises and above) or (falls and is_clear(last))
+        if declared and not holds:
+            below = is_clear(-first) or recent
+            holds = rises or is_clear(-value) or is_clear(-armed[k]) or (falls and below)
+        if not holds:
+            return f"switch {k} is not proved to keep its side ({value})"
+    return ""
+
+
+def is_clear(x: Ball) -> bool:
+    """Return True if an interval is positive even after a widening by `_CLEAR`."""
+    return bool(x.mid() > _CLEAR * x.rad())
 
 
 def _window(
@@ -312,8 +437,9 @@ def settle_impacts(system: BallSystem, stage: ProofStage) -> tuple[ProofRecord, 
         rows[i], image[i] = [ZERO] * n, ZERO
     result = at.mapped(image, matrix(rows, n), system.turning_rows(None), stage.metric)
     time = stage.time.later((found.longest * speed_now / left).union(ZERO))
-    numbers = {"radius": found.radius, "speed": speed}
-    record = ProofRecord(kind="tail", numbers=numbers, orders=(), result=result)
+    places = [k for k in range(n) if k not in (gap, rate) or k < system.n_x]
+    numbers = {"radius": [found.radius[k] for k in places], "speed": speed}
+    record = ProofRecord(kind="tail", numbers=numbers, orders=(), result=result, places=places)
     return record, stage.next(result, Departure.LOCKED, time)
 
 
@@ -380,6 +506,12 @@ def _polydisc(system: BallSystem, box: Sequence[Ball], share: float) -> Polydisc
     real = [x + arb(0, r) for x, r in zip(box, radius, strict=True)]
     reason = system.light(real)
     require_proved(not reason, "zeno_point", reason)
+    for other in range(system.n_x, system.n_x + len(system.carried_stops), 2):
+        apart = other == gap or bool(real[other] > 0)
+        require_proved(apart, "zeno_point", "another gap is not proved positive in the tail")
+    kept = all(bool(value != 0) for value, _ in system.guards(real)[: system.n_declared])
+    kept = kept and all(bool(value > 0) for value, _ in system.guards(real)[system.n_declared :])
+    require_proved(kept, "zeno_point", "a switch is not proved to keep its side in the tail")
     lowest = system.impact(real).restitution
     require_proved(bool(lowest >= 0), "zeno_point", "the restitution is not proved to be positive")
     return Polydisc(radius=radius, speed=speed, c=c, rho=rho, longest=longest, delta=delta)

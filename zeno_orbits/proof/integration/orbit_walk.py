@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from flint import arb
 
@@ -14,6 +15,7 @@ from zeno_orbits.proof.arithmetic.balls import Ball
 from zeno_orbits.proof.arithmetic.expressions import stop_identities
 from zeno_orbits.proof.arithmetic.program import BallProgram
 from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
+from zeno_orbits.proof.integration.machine import BallMachine
 from zeno_orbits.proof.integration.section import SectionStart
 from zeno_orbits.proof.integration.sets import Departure, ProofStage
 from zeno_orbits.proof.integration.walk import ProofPassage, WalkSettings, walk
@@ -26,6 +28,8 @@ _PATIENCE = 1.5
 _TRIALS = 3
 _NEAREST = 30
 """Largest number of halvings of the distance of a trial state."""
+_SAME_TIME = 1e-9
+"""Difference of the times of two events at the same time, relative to the period."""
 _PLASTIC = "each plastic impact of the orbit is followed by a flight"
 _ROUNDING = 1e-8
 """Rounding error of an identity of the stop, relative to the size of its terms."""
@@ -46,7 +50,112 @@ def require_fit(orbit: Orbit, problem: Problem, values: ParameterValues) -> None
     if other_equations(orbit.problem_digest, problem):
         raise ProofError("problem", "the orbit was computed from other equations")
     problem.require_zeno_points(values)
-    _require_stop(orbit, problem, values)
+    if orbit.has_phases:
+        _require_stop(orbit, problem, values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProofStart:
+    """The section of a proof, and the orbit from there.
+
+    Attributes:
+        orbit: The orbit, whose period starts on the section.
+        stop: Name of the stop of the section.
+        struck: True if the section holds the states just after an impact, False for releases.
+        count: Number of releases of this stop in the period, or of impacts on it.
+    """
+
+    orbit: Orbit
+    stop: str
+    struck: bool
+    count: int
+
+
+def proof_start(orbit: Orbit) -> ProofStart:
+    """Return the section of a proof: a release if the orbit has one, otherwise an impact.
+
+    Args:
+        orbit: The orbit.
+
+    Raises:
+        ProofError: If no event of the orbit is a section of a proof.
+    """
+    if orbit.has_phases:
+        struck = orbit.shape.without_contact
+        count = orbit.shape.n_phases if struck else orbit.shape.n_releases
+        return ProofStart(orbit=orbit, stop="stop", struck=struck, count=count)
+    names = [event.name for event in orbit.events]
+    free = [
+        k
+        for k, event in enumerate(orbit.events)
+        if event.word == "release" and not _is_caused(orbit, k)
+    ]
+    struck = not free and not any(event.word in ("release", "zeno") for event in orbit.events)
+    if struck:
+        free = [
+            k
+            for k, event in enumerate(orbit.events)
+            if event.word == "impact" and (k == len(names) - 1 or event.after is not None)
+        ]
+    if not free:
+        reason = "no contact of the orbit ends by its own force, and it has Zeno points or switches"
+        raise ProofError("shape", f"{reason} only ({', '.join(orbit.sequence)})")
+    last = names[free[-1]]
+    return ProofStart(
+        orbit=_turned(orbit, free[-1], struck=struck),
+        stop=last.partition(" ")[2],
+        struck=struck,
+        count=names.count(last),
+    )
+
+
+def _is_caused(orbit: Orbit, k: int) -> bool:
+    """Return True if a release has the time of the event before it."""
+    before = orbit.events[k - 1].time - (orbit.period if k == 0 else 0.0)
+    return abs(orbit.events[k].time - before) < _SAME_TIME * orbit.period
+
+
+def _turned(orbit: Orbit, k: int, *, struck: bool) -> Orbit:
+    """Return an orbit whose period starts just after one of its events."""
+    if k == len(orbit.events) - 1:
+        return orbit
+    start = orbit.events[k]
+    state = start.after if struck and start.after is not None else start.state
+    later = [replace(event, time=event.time - start.time) for event in orbit.events[k + 1 :]]
+    rest = orbit.period - start.time
+    wrapped = [replace(event, time=event.time + rest) for event in orbit.events[: k + 1]]
+    return replace(orbit, start_state=state, events=(*later, *wrapped))
+
+
+def ball_machine(
+    start: ProofStart, problem: Problem, values: ParameterValues, over: Mapping[str, float]
+) -> tuple[BallMachine, BallSystem]:
+    """Return the machine of an orbit in balls, and its system at the start.
+
+    Args:
+        start: The section and the orbit.
+        problem: The problem.
+        values: Gains and parameters.
+        over: Gains or parameters that become states of rate zero.
+
+    Raises:
+        ProofError: If the machine or the start has a property that is not proved.
+    """
+    machine = BallMachine(
+        problem,
+        values,
+        over,
+        start.orbit.period,
+        struck=start.struck,
+        is_graph=not start.orbit.has_phases,
+    )
+    stop = machine.stop_names.index(start.stop)
+    sides = (True,) * (len(machine.switch_names) - machine.n_declared)
+    if sides:
+        system = machine.view(stop, sides)
+        y = [arb(value) for value in prover_state(system, problem, start.orbit)]
+        sides = machine.sides_at(stop, sides, y)
+    return machine, machine.view(stop, sides)
 
 
 def _require_stop(orbit: Orbit, problem: Problem, values: ParameterValues) -> None:
@@ -91,18 +200,19 @@ def prover_state(system: BallSystem, problem: Problem, orbit: Orbit) -> list[flo
     """
     own = problem.state_vector(orbit.start_state)
     x = [float(value) / unit for value, unit in zip(own, system.units, strict=False)]
-    if system.expressions.coordinate is None:
-        x += [0.0, 0.0]
+    x += [0.0 for _ in system.carried_stops]
     x += [float(value.mid()) for value in system.carried.values()]
-    if system.expressions.coordinate is not None:
-        x[system.rate] *= system.expressions.coordinate.sign
+    coordinate = system.expressions.coordinate
+    if coordinate is not None:
+        x[system.rate] *= coordinate.sign
     for k in system.stopped:
         x[k] = 0.0
     return x
 
 
 def walk_period(
-    orbit: Orbit,
+    given: ProofStart,
+    machine: BallMachine,
     system: BallSystem,
     start: SectionStart,
     settings: WalkSettings,
@@ -111,8 +221,9 @@ def walk_period(
     """Enclose one period from the set of a start, with an upper bound for the time to return.
 
     Args:
-        orbit: The orbit, whose mode sequence and period are used.
-        system: The orbit's problem in balls.
+        given: The section and the orbit, whose period is used.
+        machine: The problem in balls.
+        system: Its system at the start.
         start: The set.
         settings: Settings of the enclosure.
         on_progress: Called with the stage and the part of it that is done.
@@ -124,14 +235,17 @@ def walk_period(
     require_proved(not reason, "inertia", reason)
     require_proved(not (system.struck and system.plastic), "shape", _PLASTIC)
     departure = Departure.STRUCK if system.struck else Departure.RELEASED
-    stage = ProofStage.started(start.at, departure)
+    stop, sides = machine.stop_names.index(given.stop), ()
+    if system.view is not None:
+        sides = system.view.sides
+    stage = ProofStage.started(start.at, departure, stop, sides)
+    period = given.orbit.period
     radius = max((float(u.rad()) for u in start.at.U), default=0.0)
     what = f"follow a box of radius {radius:.0e}" if radius else "follow the orbit"
 
     def tell(doing: str, time: float) -> None:
-        late = time > _PATIENCE * orbit.period
+        late = time > _PATIENCE * period
         require_proved(not late, "period", f"the motion does not return within {time:.6g} s")
-        on_progress(f"{what}, {doing}", min(time / orbit.period, 1.0))
+        on_progress(f"{what}, {doing}", min(time / period, 1.0))
 
-    count = orbit.shape.n_phases if system.struck else orbit.shape.n_releases
-    return walk(system, stage, count, settings, tell)
+    return walk(machine, stage, given.count, settings, tell)

@@ -160,12 +160,16 @@ class PolynomialRecord:
         numbers: Exact numbers of the record.
         orders: Orders of a Taylor step, empty for other records.
         result: The set after it.
+        fields: Further entries of the record, none.
+        places: Indices of the states with a radius in a tail.
     """
 
     kind: str
     numbers: dict[str, Any] = field(default_factory=dict[str, Any])
     orders: tuple[int, ...] = ()
     result: PolynomialSet
+    fields: dict[str, Any] = field(default_factory=dict[str, Any])
+    places: Sequence[int] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -453,8 +457,10 @@ class PolynomialWalk:
         result = self.set.mapped(
             image, matrix(rows, system.n), system.turning_rows(None), np.ones(system.n)
         )
-        numbers = {"radius": found.radius, "speed": found.speed}
-        self._add(PolynomialRecord(kind="tail", numbers=numbers, result=result))
+        n_x, own = system.n_x, (system.gap, system.rate)
+        places = [k for k in range(system.n) if k not in own or k < n_x]
+        numbers = {"radius": [found.radius[k] for k in places], "speed": found.speed}
+        self._add(PolynomialRecord(kind="tail", numbers=numbers, result=result, places=places))
         self.departure = Departure.LOCKED
 
     def _add(self, record: PolynomialRecord) -> None:

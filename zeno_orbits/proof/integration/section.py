@@ -127,19 +127,21 @@ def start_on_section(
         rows = _section_derivative(system, box, others, inputs).table()
         for k, row in zip(others, rows, strict=True):
             derivative[k] = row
-    given = others
-    if system.struck and system.carries_gap:
-        thin[system.rate] = system.gap_rate(thin)[0]
-        slopes_of_rate = matrix([system.gap_rate(box)[1]], n)
-        derivative[system.rate] = (slopes_of_rate * matrix(derivative, len(inputs))).entries()
-        given = [*others, system.rate]
+    computed = [k for k in system.carried_stops if k not in system.stopped]
+    if computed:
+        values, slopes = system.stops(thin)[0], system.stops(box)[1]
+        at = matrix(derivative, len(inputs))
+        for k in computed:
+            row = k - system.carried_stops[0]
+            thin[k] = values[row]
+            derivative[k] = (matrix([slopes[row]], n) * at).entries()
     return SectionStart(
         places=places,
         others=others,
         centre=[middle[k] for k in places],
         around=around,
         reached=found,
-        at=start_set(thin, matrix(derivative, len(inputs)), deviations, given),
+        at=start_set(thin, matrix(derivative, len(inputs)), deviations, [*others, *computed]),
     )
 
 
@@ -150,7 +152,7 @@ def _around(box: list[Ball], middle: list[Ball], others: list[int]) -> list[Ball
 
 def _free_places(system: BallSystem) -> list[int]:
     last = system.n - len(system.carried)
-    still = (system.gap, system.rate) if system.carries_gap else system.stopped
+    still = {*system.stopped, *system.carried_stops}
     return [k for k in range(last) if k not in still]
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
@@ -129,7 +129,13 @@ class BallSet:
         return BallSet(
             m=m,
             frame=frame,
-            r=[_with_slack(one, spare[0] if k in rows else 0.0) for k, one in enumerate(r)],
+            r=[
+                # A polynomial motion has no remainder, but the checker rounds it.
+                arb(0, arb(2) ** (_LEAST - ctx.prec))
+                if one.is_zero() and k in rows and not fine
+                else _with_slack(one, spare[0] if k in rows else 0.0)
+                for k, one in enumerate(r)
+            ],
             C=C,
             R=matrix(
                 [
@@ -312,12 +318,16 @@ class ProofRecord:
         numbers: The numbers of the record, exact.
         orders: Orders of a Taylor step, empty for other records.
         result: The propagated set.
+        fields: Further entries of the record, plain data: event of a crossing, sides of the kinks.
+        places: Indices of the states with a radius in a tail.
     """
 
     kind: str
     numbers: dict[str, Any]
     orders: tuple[int, ...]
     result: BallSet
+    fields: dict[str, Any] = field(default_factory=dict[str, Any])
+    places: Sequence[int] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -329,19 +339,29 @@ class ProofStage:
         departure: Mode in which the set continues.
         time: Time since the start.
         metric: Units of the states in which the flow is balanced, powers of two, ``(n,)``.
+        stop: Index of the stop that was met last.
+        sides: Side of every kink.
+        switched: Index of the switch that was crossed just before, or None.
     """
 
     at: BallSet
     departure: Departure
     time: BallTime
     metric: Vector
+    stop: int = 0
+    sides: tuple[bool, ...] = ()
+    switched: int | None = None
 
     @classmethod
-    def started(cls, at: BallSet, departure: Departure) -> ProofStage:
+    def started(
+        cls, at: BallSet, departure: Departure, stop: int = 0, sides: tuple[bool, ...] = ()
+    ) -> ProofStage:
         """Return the stage of a set on the section at time zero."""
         return cls(
             at=at,
             departure=departure,
+            stop=stop,
+            sides=sides,
             time=BallTime.start(len(at.U)),
             metric=np.ones(len(at.m)),
         )
@@ -359,4 +379,4 @@ class ProofStage:
 
     def next(self, result: BallSet, departure: Departure, time: BallTime) -> ProofStage:
         """Return the stage after a record."""
-        return replace(self, at=result, departure=departure, time=time)
+        return replace(self, at=result, departure=departure, time=time, switched=None)

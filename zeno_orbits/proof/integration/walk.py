@@ -16,9 +16,20 @@ from flint import arb
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ProofError
 from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, product
+from zeno_orbits.proof.arithmetic.recurrences import Series
 from zeno_orbits.proof.integration.ball_system import BallSystem
-from zeno_orbits.proof.integration.events import cross, meeting_guess, settle_impacts, strike
+from zeno_orbits.proof.integration.events import (
+    Meeting,
+    cross,
+    is_clear,
+    meeting_guess,
+    settle_impacts,
+    strike,
+    switch_guess,
+    switch_reason,
+)
 from zeno_orbits.proof.integration.flow import BallFlow, FlowStep, enclose
+from zeno_orbits.proof.integration.machine import BallMachine
 from zeno_orbits.proof.integration.sets import (
     BallTime,
     Departure,
@@ -32,11 +43,6 @@ _NEAR = 1e-3
 _SHORTEST = 1e-5
 """Smallest step in flight and in contact, as a part of the longest step."""
 _JUST_BEYOND = 1 + 2.0**-6
-_CLEAR = 1.5
-"""Smallest distance from zero of an interval on the box of a step, as a multiple of its radius.
-
-The box of the checker's arithmetic is another box.
-"""
 _BEYOND = 1 + 2.0**-3
 """Length of the step of a crossing, as a multiple of the time of the crossing."""
 
@@ -75,6 +81,7 @@ class PassageKind(Enum):
     IMPACT = "impact"
     ZENO_POINT = "zeno_point"
     RELEASE = "release"
+    SWITCH = "switch"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,10 +91,12 @@ class PassageEvent:
     Attributes:
         kind: Kind of the event. A plastic impact that starts contact is an impact and a Zeno point.
         stage: The set at the event, or just before it for an impact.
+        name: Name of the stop or of the switch.
     """
 
     kind: PassageKind
     stage: ProofStage
+    name: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,6 +124,22 @@ class ProofPassage:
         return self._times(PassageKind.ZENO_POINT)
 
     @property
+    def told(self) -> tuple[str, ...]:
+        """The events in order, in words. Impacts that accumulate belong to their Zeno point."""
+        words, first = list[str](), 0
+        for event in self.events:
+            if event.kind is PassageKind.IMPACT:
+                words.append(f"impact on {event.name}")
+            elif event.kind is PassageKind.ZENO_POINT:
+                del words[first:]
+                words.append(f"{event.kind.value} of {event.name}")
+            else:
+                words.append(f"{event.kind.value} of {event.name}")
+            if event.kind is not PassageKind.IMPACT:
+                first = len(words)
+        return tuple(words)
+
+    @property
     def period(self) -> BallTime:
         """Time of the return to the section."""
         return self.events[-1].stage.time
@@ -135,21 +160,22 @@ Tell = Callable[[str, float], None]
 
 
 def walk(
-    system: BallSystem, start: ProofStage, count: int, settings: WalkSettings, tell: Tell
+    machine: BallMachine, start: ProofStage, count: int, settings: WalkSettings, tell: Tell
 ) -> ProofPassage:
     """Enclose one period from a set.
 
     Args:
-        system: The problem.
+        machine: The problem.
         start: The set on the section.
-        count: Number of releases in the period, or of impacts if it starts just after an impact.
+        count: Number of releases of the section's stop in the period, or of impacts on it if the
+            period starts just after an impact.
         settings: Settings of the enclosure.
         tell: Called with the stage and the time reached [s].
 
     Raises:
         ProofError: If a condition is not proved. The error names the claim.
     """
-    way = _Way(system=system, settings=settings, tell=tell, stage=start)
+    way = _Way(machine=machine, settings=settings, tell=tell, stage=start)
     while way.n_returns < count:
         try:
             way.follow()
@@ -172,44 +198,76 @@ class _Way:
     """A set within its period, with the records that led to it."""
 
     def __init__(
-        self, *, system: BallSystem, settings: WalkSettings, tell: Tell, stage: ProofStage
+        self, *, machine: BallMachine, settings: WalkSettings, tell: Tell, stage: ProofStage
     ) -> None:
         self.records: list[ProofRecord] = []
         self.events: list[PassageEvent] = []
         self.n_returns = 0
         self.stage = stage
         self._n_impacts = 0
-        self._system, self._settings, self._tell = system, settings, tell
-        self._pace = _Pace(
-            size=settings.first * system.period, most=settings.longest * system.period
-        )
+        self._machine, self._settings, self._tell = machine, settings, tell
+        self._section = stage.stop
+        period = self._system.period
+        self._pace = _Pace(size=settings.first * period, most=settings.longest * period)
         self._fastest = ZERO
         self._slow: tuple[ProofStage, int] | None = None
 
+    @property
+    def _system(self) -> BallSystem:
+        return self._machine.view(self.stage.stop, self.stage.sides)
+
+    @property
+    def _on_section(self) -> bool:
+        return self.stage.stop == self._section
+
     def follow(self) -> None:
         """Propagate the set to its next event, and through the event."""
-        locked = self.stage.departure is Departure.LOCKED
-        flow = self._system.locked if locked else self._system.free
-        least, met = self._pace.size * _SHORTEST, False
-        while not met:
+        least, met = self._pace.size * _SHORTEST, None
+        while met is None:
             record, self.stage, met = _move(
-                self._system, flow, self.stage, self._pace, self._settings, least
+                self._machine, self.stage, self._pace, self._settings, least
             )
             self.records.append(record)
             self._tell(self.stage.departure.value, float(self.stage.time.middle.mid()))
-        if locked:
+        if met.kind == "switch":
+            self._switch(met.index)
+        elif met.kind == "release":
             self._note(PassageKind.RELEASE)
-            self.n_returns += not self._system.struck
+            self.n_returns += self._on_section and not self._system.struck
         else:
             self._strike()
+
+    def _switch(self, switch: int) -> None:
+        """Pass a switch: the reset of a declared switch, and the sides of the kinks."""
+        self._note(PassageKind.SWITCH, self._machine.switch_names[switch])
+        system, stage = self._system, self.stage
+        image, box = system.switched(switch, stage.at.m)[0], stage.at.box
+        derivative = system.switched(switch, box)[1]
+        locked = stage.departure is Departure.LOCKED
+        rows = system.turning_rows(None) if locked else system.moving_rows
+        result = stage.at.mapped(image, derivative, rows, stage.metric)
+        kink = switch - self._machine.n_declared
+        crossed = kink if kink >= 0 else None
+        sides = self._machine.sides_at(stage.stop, stage.sides, result.box, crossed)
+        fields = {"sides": [int(side) for side in sides]}
+        self.records.append(
+            ProofRecord(kind="switch", numbers={}, orders=(), result=result, fields=fields)
+        )
+        after = stage.next(result, stage.departure, stage.time)
+        self.stage = replace(after, sides=sides, switched=switch)
+        self._pace.size = self._settings.first * system.period
 
     def _strike(self) -> None:
         settings, rate = self._settings, self._system.rate
         self._note(PassageKind.IMPACT)
         self._n_impacts += 1
-        self.n_returns += self._system.struck
+        self.n_returns += self._on_section and self._system.struck
         self._fastest = self._fastest.max(self.stage.at.box[rate].abs_upper())
-        record, self.stage = strike(self._system, self.stage)
+        record, stage = strike(self._system, self.stage)
+        sides = self._machine.sides_at(stage.stop, stage.sides, stage.at.box)
+        if self._machine.is_graph:
+            record = replace(record, fields={"sides": [int(side) for side in sides]})
+        self.stage = replace(stage, sides=sides)
         self.records.append(record)
         self._slow = None
         if self.stage.departure is Departure.STRUCK and not self._system.struck:
@@ -238,22 +296,75 @@ class _Way:
         self._note(PassageKind.ZENO_POINT)
         self._pace.size = self._settings.first * self._system.period
 
-    def _note(self, kind: PassageKind) -> None:
-        self.events.append(PassageEvent(kind=kind, stage=self.stage))
+    def _note(self, kind: PassageKind, name: str = "") -> None:
+        name = name or self._machine.stop_names[self.stage.stop]
+        self.events.append(PassageEvent(kind=kind, stage=self.stage, name=name))
+
+
+def _met_first(
+    machine: BallMachine, stage: ProofStage, points: list[Series], within: float
+) -> tuple[float | None, Meeting]:
+    """Return an approximate time of the first event of the middle of a set, and the event."""
+    system = machine.view(stage.stop, stage.sides)
+    locked = stage.departure is Departure.LOCKED
+    found: list[tuple[float, Meeting]] = []
+    for k, view in enumerate(machine.views(stage.sides)):
+        if locked and k != stage.stop:
+            continue
+        own = stage if k == stage.stop else replace(stage, departure=Departure.FLYING)
+        time = meeting_guess(view, own, points, within)
+        if time is not None:
+            found.append((time, Meeting("release" if locked else "stop", k)))
+    switch = switch_guess(system, stage, points, within)
+    found += [switch] if switch else []
+    return min(found, default=(None, Meeting("", 0)))
+
+
+def _step_reason(
+    machine: BallMachine,
+    stage: ProofStage,
+    box: Sequence[Ball],
+    end: Sequence[Ball],
+    met: Meeting | None,
+) -> str:
+    """Return the condition on events that is not proved on a step, or an empty text.
+
+    Args:
+        machine: The problem.
+        stage: The set at the start of the step.
+        box: Box that contains all motions over the step.
+        end: States at the end of the step.
+        met: The event that ends the step, if there is one.
+    """
+    system, start = machine.view(stage.stop, stage.sides), stage.at.box
+    flow = system.locked if stage.departure is Departure.LOCKED else system.free
+    for k, view in enumerate(machine.views(stage.sides)):
+        own = k == stage.stop
+        departure = stage.departure if own else Departure.FLYING
+        ends = met is not None and met.kind != "switch" and met.index == k
+        reason = contact_reason(
+            view, flow, departure, start, box, None if ends else end[view.gap]
+        )
+        if reason:
+            return reason
+    reason = switch_reason(system, stage, box, end, met)
+    return reason or system.undefined(box) or system.light(box)
 
 
 def _move(
-    system: BallSystem,
-    flow: BallFlow,
+    machine: BallMachine,
     stage: ProofStage,
     pace: _Pace,
     settings: WalkSettings,
     least: float,
-) -> tuple[ProofRecord, ProofStage, bool]:
-    """Return a record (step or crossing), the stage after it, and True for a crossing."""
+) -> tuple[ProofRecord, ProofStage, Meeting | None]:
+    """Return a record (step or crossing), the stage after it, and the event of a crossing."""
+    system = machine.view(stage.stop, stage.sides)
+    locked = stage.departure is Departure.LOCKED
+    flow = system.locked if locked else system.free
     size, orders = min(pace.size, pace.most), settings.orders
     points = flow.point_series(stage.at.m, orders[0])
-    guess = meeting_guess(system, stage, points, 1.5 * size)
+    guess, met = _met_first(machine, stage, points, 1.5 * size)
     if guess is not None:
         size = _aimed(guess, size)
         orders = _orders(size, pace.size, settings, flow.n)
@@ -274,10 +385,10 @@ def _move(
             size = max(least, size * max(0.25, 0.9 * excess ** (-1 / (orders[1] + 1))))
             continue
         image, derivative = step.point(points, exact), step.derivative(exact)
-        end = image[system.gap] + product(derivative, stage.at.deviation)[system.gap]
-        before, until = stage.at.box, None if meets else end
-        reason = contact_reason(system, flow, stage.departure, before, step.box, until)
-        reason = reason or system.undefined(step.box) or system.light(step.box)
+        end = [
+            a + b for a, b in zip(image, product(derivative, stage.at.deviation), strict=True)
+        ]
+        reason = _step_reason(machine, stage, step.box, end, met if meets else None)
         if reason:
             shortened = True
             if meets and guess is not None:
@@ -285,26 +396,27 @@ def _move(
                 continue
             # A guard that is below zero only briefly is detected only by a sufficiently fine
             # search.
-            dip = meeting_guess(system, stage, points, size)
+            dip, touched = _met_first(machine, stage, points, size)
             if dip is None or (guess is not None and dip >= guess):
                 size = size / 2
                 continue
             # Only the first guess may lower the smallest step, so that the search ends.
             least = least if guess is not None else min(least, dip / 64)
-            guess, size = dip, _aimed(dip, size)
+            guess, met, size = dip, touched, _aimed(dip, size)
             continue
         if meets and guess is not None:
-            record, after = cross(system, stage, step, points, arb(guess))
-            return record, after, True
+            stop = met.index if met.kind == "stop" else stage.stop
+            seen = machine.view(stop, stage.sides)
+            record, after = cross(seen, stage, step, points, arb(guess), met)
+            return record, replace(after, stop=stop), met
         if not shortened:
             pace.size = size * max(0.5, min(4.0, 0.9 * excess ** (-1 / (orders[1] + 1))))
-        locked = stage.departure is Departure.LOCKED
         rows = system.turning_rows(None) if locked else system.moving_rows
         near = bool(stage.at.box[system.rate].abs_upper() < _NEAR)
         result = stage.at.mapped(image, derivative, rows, stage.metric, fine=not locked and near)
         record = ProofRecord(kind="step", numbers={"h": exact}, orders=orders, result=result)
         departure = Departure.LOCKED if locked else Departure.FLYING
-        return record, stage.next(result, departure, stage.time.later(exact)), False
+        return record, stage.next(result, departure, stage.time.later(exact)), None
     raise ProofError(_CLAIMS[stage.departure], reason)
 
 
@@ -409,11 +521,6 @@ def contact_reason(
     clear = bool(rate > 0) if struck else bool(gap > 0)
     over = hump and bool(end > 0)
     return "" if clear or over else "`gap` is not proved positive in flight"
-
-
-def is_clear(x: Ball) -> bool:
-    """Return True if an interval is positive even after a widening by `_CLEAR`."""
-    return bool(x.mid() > _CLEAR * x.rad())
 
 
 def _jerk(flow: BallFlow, box: Sequence[Ball], rate: int) -> Ball:

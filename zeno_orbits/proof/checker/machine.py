@@ -1,0 +1,230 @@
+"""The systems of a certificate: one for each stop of a machine, on each side of its kinks.
+
+A machine with one stop and without switches has one system. All systems of a machine have the same
+states, and those of the same sides have the same free flow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, cast
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.model import Problem
+from zeno_orbits.proof.checker.balls import Array, Ball, NotProved, entries, require
+from zeno_orbits.proof.checker.formulas import (
+    Formulas,
+    Graph,
+    View,
+    formulas_of,
+    joined_digest,
+    walked,
+)
+from zeno_orbits.proof.checker.identities import are_equal
+from zeno_orbits.proof.checker.system import System, bound_system
+
+ONE_STOP = View(0, ())
+_MOST_SIDES = 64
+
+
+class Machine(NamedTuple):
+    """The systems of a certificate.
+
+    Attributes:
+        start: Stop and sides on the section.
+        systems: The system of each stop on each side of the kinks.
+        n_stops: Number of stops.
+        n_switches: Number of switches, declared and of kinks.
+        is_graph: True for a machine with several stops, switches or kinks.
+        names: Names of the stops, and of the switches.
+    """
+
+    start: View
+    systems: Mapping[View, System]
+    n_stops: int
+    n_switches: int
+    is_graph: bool
+    names: tuple[tuple[str, ...], tuple[str, ...]]
+
+    @property
+    def first(self) -> System:
+        """The system on the section."""
+        return self.systems[self.start]
+
+    def is_plastic(self, view: View) -> bool:
+        """Return True if the restitution of a stop is exactly zero, independently of the states."""
+        system = self.systems[view]
+        law = system.nodes["law"]
+        varies = not set(system.z).isdisjoint(system.graph.needed(law))
+        return not varies and system.value("law", system.nothing)[0].size == 0
+
+
+def read_sides(count: int, sides: Any) -> tuple[bool, ...]:
+    """Return the sides of kinks in a certificate, with a check of their number.
+
+    Args:
+        count: Number of kinks.
+        sides: The sides, 1 or 0 each.
+    """
+    known = isinstance(sides, list) and all(type(x) is int for x in cast("list[Any]", sides))
+    if not known or not set(sides) <= {0, 1} or len(sides) != count:
+        raise InputError("The certificate's `sides` must be 0 or 1 for each kink.")
+    return tuple(map(bool, sides))
+
+
+def bound_machine(
+    data: Mapping[str, Any],
+    problem: Problem,
+    numbers: Mapping[str, Ball],
+    over: Sequence[str],
+) -> tuple[Machine, str]:
+    """Return the systems of a certificate, and the digest of their formulas.
+
+    Args:
+        data: The certificate.
+        problem: Its problem.
+        numbers: All gains and parameters.
+        over: Names of the parameters that vary.
+
+    Raises:
+        NotProved: If a hypothesis of the theorem is not shown.
+    """
+    row = data["gap_row"]
+    if "machine" not in data:
+        formulas = formulas_of(problem)
+        _require_row(row, formulas)
+        system = bound_system(formulas, numbers, over, row)
+        return Machine(ONE_STOP, {ONE_STOP: system}, 1, 0, False, (("stop",), ())), formulas.digest
+    stop, own = entries(data["machine"], "stop", "sides")
+    graph = problem.model(problem.symbols()).graph
+    if graph is None or type(stop) is not int or not 0 <= stop < len(graph.stops):
+        raise InputError("The certificate's `machine` must have a stop of the problem.")
+    n_kinks, n_stops = len(graph.conditions), len(graph.stops)
+    start = View(stop, read_sides(n_kinks, own))
+    records = [record for part in data["passes"] for record in part["records"]]
+    used = {read_sides(n_kinks, record["sides"]) for record in records if "sides" in record}
+    used.add(start.sides)
+    require(len(used) <= _MOST_SIDES, "the kinks have too many sides")
+    if row is not None and n_stops > 1:
+        raise InputError("The certificate's `gap_row` must be null for several stops.")
+    views = [View(k, sides) for sides in sorted(used) for k in range(n_stops)]
+    formulas = {view: formulas_of(problem, view) for view in views}
+    _require_row(row, formulas[start])
+    _require_same_conditions([formulas[view] for view in views if view.stop == 0])
+    systems = {view: bound_system(formulas[view], numbers, over, row, view) for view in views}
+    n_switches = len(graph.switches) + n_kinks
+    names = tuple(one.name for one in graph.stops), graph.switch_names
+    machine = Machine(start, systems, n_stops, n_switches, True, names)
+    for system in systems.values():
+        _require_free_resets(system)
+    return machine, joined_digest(one.digest for one in formulas.values())
+
+
+def _require_row(row: Any, formulas: Formulas) -> None:
+    if row is not None and (type(row) is not int or not 0 <= row < formulas.n_q):
+        raise InputError("The certificate's `gap_row` must be a coordinate.")
+
+
+def _require_same_conditions(sides: Sequence[Formulas]) -> None:
+    """Check that the guard of each switch is the same function on all sides of the kinks.
+
+    Then the guard of a switch that is crossed is zero on both sides.
+    """
+    graph = Graph()
+    x = [graph.put("input") for _ in range(sides[0].function.numel_in(0))]
+    p = [graph.put("input") for _ in range(sides[0].function.numel_in(1))]
+    every = [walked(one.function, graph, [x, p]) for one in sides]
+    guards = [outputs[7] if len(outputs) > 7 else [] for outputs in every]
+    for other in guards[1:]:
+        same = other == guards[0] or are_equal(graph, other, guards[0])
+        require(same, "the condition of a kink depends on the sides of other kinks")
+
+
+def _require_free_resets(system: System) -> None:
+    """Check that resets change no state on which gaps, constraints or the own guard depend."""
+    x = system.z[: system.n_x]
+    for k, changed in enumerate(system.changed):
+        nodes = [*system.nodes["stops"], *system.nodes["constraints"], system.nodes["guards"][k]]
+        needed = set(system.graph.needed(nodes))
+        free = not any(x[place] in needed for place in changed)
+        require(free, "a switch resets a state on which a gap, a constraint or its guard depends")
+
+
+def require_sides(system: System, box: Array, crossed: int = -1) -> None:
+    """Check that no guard is zero just after an event, and that the kinks are on their sides.
+
+    Args:
+        system: The system on the sides after the event.
+        box: Box of the states.
+        crossed: The switch that was crossed, whose guard is zero, or -1.
+    """
+    for k, (sign, value) in enumerate(zip(system.signs, system.value("guards", box), strict=True)):
+        guard = value * sign
+        sound = guard.low > 0 or (k < system.n_declared and guard.high < 0)
+        require(k == crossed or sound, f"switch {k} may be zero: {guard.shown()}")
+
+
+def require_switches(
+    system: System,
+    mode: str,
+    boxes: tuple[Array, Array, Array],
+    *,
+    crossed: int,
+    met: int,
+) -> None:
+    """Check that a step meets no switch, except the one that ends it.
+
+    A guard keeps its side if it differs from zero on the whole step, if it moves away from zero, or
+    if it moves towards zero and has not reached it at the end. A declared switch is an event only
+    where its guard falls through zero and it is armed.
+
+    Args:
+        system: The system of the certificate.
+        mode: The mode.
+        boxes: Boxes of the states at the start, on the whole step and at the end.
+        crossed: The switch that was crossed at the start, or -1.
+        met: The switch that ends the step, or -1.
+    """
+    if not system.signs:
+        return
+    first, box, last = (
+        [value * sign for sign, value in zip(system.signs, system.value("guards", z), strict=True)]
+        for z in boxes
+    )
+    armed, rates = (system.value(name, boxes[1]) for name in ("armed", f"guards_{mode}"))
+    for k, sign in enumerate(system.signs):
+        rate, declared, recent = rates[k] * sign, k < system.n_declared, k == crossed
+        falls, rises = rate.high < 0, rate.low > 0
+        if k == met:
+            ready = first[k].low > 0 and (not declared or armed[k].low > 0)
+            require(falls and ready, f"switch {k} may be met twice: its rate is {rate.shown()}")
+            continue
+        above = first[k].low > 0 if not recent else not declared
+        holds = box[k].low > 0 or (rises and above) or (falls and last[k].low > 0)
+        if declared and not holds:
+            below = recent or first[k].high < 0
+            holds = rises or box[k].high < 0 or armed[k].high < 0 or (falls and below)
+        if not holds:
+            raise NotProved(f"switch {k} may be met: its guard is {box[k].shown()}")
+
+
+def require_others_apart(
+    system: System, mode: str, boxes: tuple[Array, Array, Array], besides: Sequence[int]
+) -> None:
+    """Check that the gaps of other stops stay positive on a step.
+
+    Args:
+        system: The system of the certificate.
+        mode: The mode.
+        boxes: Boxes of the states at the start, on the whole step and at the end.
+        besides: Rows of the gaps that are checked otherwise.
+    """
+    start, box, end = boxes
+    rows = [k for k in system.gap_rows if k not in besides]
+    rates = system.rates(mode, box) if rows else box
+    for k in rows:
+        gap, rate, pull = box[k], box[k + 1], rates[k + 1]
+        first, last = start[k].low > 0, end[k].low > 0
+        apart = gap.low > 0 or (rate.high < 0 and last) or (rate.low > 0 and first)
+        apart = apart or (first and last and pull.high < 0)
+        require(apart, f"another gap may close: it is {gap.shown()}")

@@ -1,0 +1,121 @@
+"""A machine in balls: one system for each stop and each side of its kinks, made when it is needed.
+
+All systems have the same states. Those of one set of sides have the same free flow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from zeno_orbits.errors import ProofError
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.proof.arithmetic.balls import Ball
+from zeno_orbits.proof.arithmetic.expressions import MachineView
+from zeno_orbits.proof.integration.ball_system import BallSystem
+
+
+class BallMachine:
+    """A problem at fixed parameter values, in balls.
+
+    Attributes:
+        stop_names: Names of the stops.
+        switch_names: Names of the declared switches, then of the kinks.
+        n_declared: Number of declared switches.
+        is_graph: True for a machine with several stops, switches or kinks.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        values: ParameterValues,
+        over: Mapping[str, float],
+        period: float,
+        *,
+        struck: bool,
+        is_graph: bool,
+    ) -> None:
+        """Store what the systems are made of.
+
+        Args:
+            problem: The problem.
+            values: Gains and parameters, taken exactly.
+            over: Gains or parameters that become states of rate zero.
+            period: Approximate duration of the motion [s].
+            struck: True if the section holds the states just after an impact.
+            is_graph: True for a machine with several stops, switches or kinks.
+
+        Raises:
+            ProofError: If the machine has a property that is not proved.
+        """
+        self._given = problem, values, over, period
+        self._struck, self.is_graph = struck, is_graph
+        self._views: dict[tuple[int, tuple[bool, ...]], BallSystem] = {}
+        self.stop_names: tuple[str, ...] = ("stop",)
+        self.switch_names: tuple[str, ...] = ()
+        self.n_declared = 0
+        if is_graph:
+            graph = problem.compiled_graph().graph
+            reason = "a root of a formula is zero at an event" if graph.roots else ""
+            reason = reason or ("the machine has no stop" if not graph.stops else "")
+            if graph.has_current_layers:
+                reason = "each impact has a layer of a corrected drive"
+            if any(one.q_after is not None or one.v_after is not None for one in graph.switches):
+                reason = "a switch resets coordinates or velocities"
+            if reason:
+                raise ProofError("shape", reason)
+            self.stop_names = tuple(one.name for one in graph.stops)
+            self.switch_names = graph.switch_names
+            self.n_declared = len(graph.switches)
+
+    @property
+    def used(self) -> list[MachineView]:
+        """The stops and sides of all systems that were made, in a fixed order."""
+        return [MachineView(stop=stop, sides=sides) for stop, sides in sorted(self._views)]
+
+    def view(self, stop: int, sides: tuple[bool, ...]) -> BallSystem:
+        """Return the system of a stop on given sides of the kinks."""
+        key = (stop, sides)
+        if key not in self._views:
+            problem, values, over, period = self._given
+            view = MachineView(stop=stop, sides=sides) if self.is_graph else None
+            self._views[key] = BallSystem(
+                problem, values, over, period, struck=self._struck, view=view
+            )
+        return self._views[key]
+
+    def views(self, sides: tuple[bool, ...]) -> list[BallSystem]:
+        """Return the systems of all stops on given sides of the kinks."""
+        return [self.view(stop, sides) for stop in range(len(self.stop_names))]
+
+    def sides_at(
+        self, stop: int, before: tuple[bool, ...], box: Sequence[Ball], crossed: int | None = None
+    ) -> tuple[bool, ...]:
+        """Return the sides of all kinks on a box of states just after an event.
+
+        Args:
+            stop: The stop whose system is used.
+            before: The sides before the event.
+            box: The states.
+            crossed: The kink that was crossed, whose condition is zero.
+
+        Raises:
+            ProofError: If the condition of another kink is not proved to differ from zero.
+        """
+        sides, first = list(before), self.n_declared
+        if crossed is not None:
+            sides[crossed] = not sides[crossed]
+        for _ in range(2 * len(sides) + 1):
+            guards = self.view(stop, tuple(sides)).guards(box)[first:]
+            wrong = [
+                k
+                for k, (value, _) in enumerate(guards)
+                if k != crossed and not bool(value > 0)
+            ]
+            if not wrong:
+                return tuple(sides)
+            k = wrong[0]
+            if not bool(guards[k][0] < 0):
+                what = f"`{self.switch_names[first + k]}` is not proved to differ from zero"
+                raise ProofError("switch", f"the condition of {what} just after an event")
+            sides[k] = not sides[k]
+        raise ProofError("switch", "the sides of the kinks are not consistent just after an event")
