@@ -211,7 +211,6 @@ def test_a_broken_file_of_boundaries_is_named(content: str, told: str) -> None:
 
 
 EVENTS: Mapping[str, tuple[str, ...]] = {
-    "Orbit file `event.json`: ": ("prove", "event.json"),
     "--near event.json: Orbit file `event.json`: ": (*SEARCH, "--near", "event.json"),
 }
 

@@ -90,7 +90,7 @@ def prove(
     from zeno_orbits.proof import ProofSettings
     from zeno_orbits.proof import prove_orbit as proved
 
-    orbit = as_orbit(orbit, problem)
+    orbit = any_orbit(orbit)
     known = problem_to_check(orbit, problem)
     if radius is not None:
         radius = positive_number("radius", radius)

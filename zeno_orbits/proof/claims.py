@@ -14,6 +14,7 @@ from zeno_orbits.proof.arithmetic.balls import Ball, exact_fraction, fraction_te
 from zeno_orbits.proof.fixed_point import JudgedBox
 from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
 from zeno_orbits.proof.integration.section import SectionStart
+from zeno_orbits.proof.integration.walk import PassageKind, ProofPassage
 from zeno_orbits.proof.theorem import (
     Bounds,
     MultiplierDisc,
@@ -162,6 +163,18 @@ def require_numbers(orbit: Orbit, bounds: Bounds, sizes: Sequence[float]) -> Non
     for (name, enclosed), size in zip(bounds.start_state.items(), sizes, strict=False):
         value = orbit.start_state[name]
         check("start_state", enclosed, value, CLOSE * max(size, abs(value)))
+
+
+def require_switches(orbit: Orbit, passage: ProofPassage) -> None:
+    """Raise an error if the switches of an orbit differ from those of the proved motion.
+
+    Args:
+        orbit: The orbit.
+        passage: The enclosure of its period.
+    """
+    found = [f"switch {one.name}" for one in passage.events if one.kind is PassageKind.SWITCH]
+    known = [event.name for event in orbit.events if event.word == "switch"]
+    require_proved(found == known, "shape", "the motion passes other switches than the orbit file")
 
 
 def claims_of(

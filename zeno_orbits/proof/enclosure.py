@@ -34,7 +34,7 @@ from zeno_orbits.proof.integration.section import SectionStart, section_places, 
 from zeno_orbits.proof.integration.sets import ProofStage
 from zeno_orbits.proof.integration.walk import PassageKind, ProofPassage, WalkSettings
 from zeno_orbits.proof.period_enclosure import EnclosedEvent, PeriodEnclosure
-from zeno_orbits.proof.proof_file import require_hypotheses
+from zeno_orbits.proof.proof_file import require_hypotheses, system_data
 from zeno_orbits.proof.theorem import ProvedInterval, double_above
 from zeno_orbits.work import Progress, silent
 
@@ -110,7 +110,7 @@ def enclose_one_period(
             require_proved(held, "shape", reason)
             given = proof_start(orbit)
             machine, system = ball_machine(given, problem, values, {})
-            require_hypotheses(problem, values, {}, system)
+            require_hypotheses(system_data(problem, values, {}, system), problem)
             found = _enclosed(given, problem, machine, system, settings, on_progress)
     except ProofError as error:
         found = PeriodEnclosure(problem=problem.name, claim=error.claim, reason=error.reason)
@@ -139,9 +139,7 @@ def _enclosed(
         radii = [radius * size for size in sizes]
         try:
             start = start_on_section(system, [arb(value) for value in y], places, others, radii)
-            passage = walk_period(
-                given, machine, system, start, settings.walk, on_progress
-            )
+            passage = walk_period(given, machine, system, start, settings.walk, on_progress)
             match = _Match(orbit, problem, system, start, settings.tolerance)
             return match.enclosure(passage, radius)
         except _ContradictionError:

@@ -180,7 +180,7 @@ def certificate(
     return {
         "format": FORMAT,
         "kind": "zeno_orbits proof",
-        **_system_data(problem, values, over, system),
+        **system_data(problem, values, over, system),
         **_machine_data(machine, system, passes),
         **({} if file is None else {"problem_file": str(Path(file.path).absolute())}),
         "section": {
@@ -215,10 +215,17 @@ def _machine_data(
     }
 
 
-def _system_data(
+def system_data(
     problem: Problem, values: ParameterValues, over: Mapping[str, float], system: BallSystem
 ) -> dict[str, Any]:
-    """Return the system data of a certificate."""
+    """Return the system data of a certificate.
+
+    Args:
+        problem: The problem.
+        values: Its numbers.
+        over: Radii of the parameters that vary.
+        system: The problem in balls.
+    """
     named = dict(zip(problem.names, map(float, values.vector), strict=True))
     coordinate = system.expressions.coordinate
     return {
@@ -231,22 +238,18 @@ def _system_data(
     }
 
 
-def require_hypotheses(
-    problem: Problem, values: ParameterValues, over: Mapping[str, float], system: BallSystem
-) -> None:
+def require_hypotheses(data: Mapping[str, Any], problem: Problem) -> None:
     """Raise an error if the checker cannot show the hypotheses of the theorem for a problem.
 
     Args:
+        data: The certificate, or its `system_data` for a machine with one stop.
         problem: The problem.
-        values: Its numbers.
-        over: Radii of the parameters that vary.
-        system: The problem in balls.
 
     Raises:
         ProofError: If a hypothesis is not shown.
     """
     try:
-        read_machine(_system_data(problem, values, over, system), problem)
+        read_machine(data, problem)
     except (NotProved, InputError) as error:
         raise ProofError("hypotheses", str(error).removesuffix(".")) from error
 

@@ -24,6 +24,7 @@ from zeno_orbits.proof.claims import (
     proof_bounds,
     proved_box,
     require_numbers,
+    require_switches,
     section_box,
 )
 from zeno_orbits.proof.fixed_point import JudgedBox, judge
@@ -46,6 +47,7 @@ from zeno_orbits.proof.proof_file import (
     check_bits,
     proof_versions,
     require_hypotheses,
+    system_data,
 )
 from zeno_orbits.proof.theorem import Proof
 from zeno_orbits.work import Progress, silent
@@ -123,7 +125,7 @@ def prove_orbit(
             given = proof_start(orbit)
             machine, system = ball_machine(given, problem, values, over)
             if not machine.is_graph:
-                require_hypotheses(problem, values, over, system)
+                require_hypotheses(system_data(problem, values, over, system), problem)
             search = _Search(given, problem, machine, system, over, settings, on_progress)
             found = _found(search)
             if settings.basin:
@@ -323,8 +325,12 @@ def _proof(search: _Search, values: ParameterValues, passes: list[JudgedBox]) ->
     bits = check_bits(system, numbers)
     bounds = proof_bounds(problem, system, fine, bits)
     require_numbers(search.orbit, bounds, system.units)
+    require_switches(search.orbit, fine.passage)
     claims = claims_of(passes, bounds, system.units)
     ways = [(one.start, one.passage) for one in passes]
+    written = certificate(problem, values, over, search.machine, system, ways, claims)
+    if search.machine.is_graph:
+        require_hypotheses(written, problem)
     return Proof(
         problem=problem.name,
         boxes=tuple(proved_box(problem, system, one) for one in passes),
@@ -333,11 +339,13 @@ def _proof(search: _Search, values: ParameterValues, passes: list[JudgedBox]) ->
         held=tuple(problem.derived_from(over, values.parameters)) if over else (),
         plastic=system.plastic,
         impacts=search.given.count if system.struck else 0,
+        stop=search.given.stop if search.machine.is_graph else "",
+        releases=search.given.count,
         events=fine.passage.told if search.machine.is_graph else (),
         stable=bool(fine.start.places) and (fine.discs.stable or passes[0].returned.included),
         repelling=fine.discs.repelling,
         bounds=bounds,
-        certificate=certificate(problem, values, over, search.machine, system, ways, claims),
+        certificate=written,
         n_records=sum(len(one.passage.records) for one in passes),
         wall_time=0.0,
         versions=proof_versions(),

@@ -202,6 +202,8 @@ class Proof:
         plastic: True if the restitution is zero, so that a single impact starts the contact.
         impacts: Number of impacts per return to the section of the states just after an impact, or
             0 for the section of releases.
+        releases: Number of releases of the section's stop per return.
+        stop: Name of the section's stop, empty for a machine with one stop and no switch.
         events: Events of the period in order, for a machine with several stops, switches or kinks.
         stable: True if the fixed point of the return map is proved to be stable.
         repelling: True if a multiplier is proved to lie outside the unit circle.
@@ -224,6 +226,8 @@ class Proof:
     held: tuple[str, ...] = ()
     plastic: bool = False
     impacts: int = 0
+    releases: int = 0
+    stop: str = ""
     events: tuple[str, ...] = ()
     stable: bool = False
     repelling: bool = False
@@ -332,7 +336,7 @@ class Proof:
         """Return the theorem on one page, line by line."""
         if self.bounds is None:
             return [self.verdict()]
-        returns = self.impacts or len(self.bounds.zeno_times)
+        returns = self.impacts or self.releases
         event = "impact" if self.impacts else "release"
         which = "the next" if returns == 1 else f"{event} {returns} after it"
         after = "just after " if self.impacts else ""
@@ -416,7 +420,8 @@ class Proof:
 
     @property
     def _section(self) -> str:
-        return "the state just after an impact" if self.impacts else "a release"
+        at = f" of stop `{self.stop}`" if self.stop else ""
+        return f"the state just after an impact{at}" if self.impacts else f"a release{at}"
 
     def _contraction(self) -> str:
         """Return the reason of stability: a norm below 1, or the inclusion of box 1."""
@@ -429,6 +434,13 @@ class Proof:
         return f"{where} {norm_in} is at most {told}"
 
     def _motion(self, n_phases: int) -> str:
+        if self.events:
+            return (
+                "From every point of box 1 the completed execution has these events in turn, and"
+                f" no others: {', '.join(self.events)}. Between them at most the stop of the last"
+                " Zeno point or plastic impact is closed, under pressure, and all other gaps are"
+                " positive. The switches are crossed transversally."
+            )
         if self.impacts:
             count = "one impact" if self.impacts == 1 else f"{self.impacts} impacts"
             return (

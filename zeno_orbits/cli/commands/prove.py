@@ -78,7 +78,7 @@ def _run_prove(options: argparse.Namespace) -> int:
     if options.check is not None:
         return _check(options)
     require_outputs(options, {"output": JSON}, reads=(options.orbit,))
-    orbit = api.as_orbit(options.orbit)
+    orbit = api.any_orbit(options.orbit)
     problem = api.problem_to_check(orbit, options.problem)
     with report.ProgressLine(options.interrupts.check) as progress:
         proof = api.prove(

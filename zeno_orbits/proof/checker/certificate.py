@@ -336,9 +336,17 @@ def _passed(
     view = View(stop, sides)
     place = here._replace(after=view)
     if kind == "switch":
+        _require_other_side(machine, here, sides)
         return place, RecordPosition(here.mode, "", view, here.switch)
     held = kind == "tail" or machine.is_plastic(here.view)
     return place, RecordPosition(*(("locked", "") if held else ("free", "impact")), view)
+
+
+def _require_other_side(machine: Machine, here: RecordPosition, sides: Sequence[bool]) -> None:
+    """Check that a kink that was crossed is on its other side, and all earlier kinks on theirs."""
+    kink, before = here.switch - machine.first.n_declared, here.view.sides
+    if kink >= 0 and (sides[kink] == before[kink] or sides[:kink] != before[:kink]):
+        raise InputError("The certificate's `sides` must change where a kink is crossed.")
 
 
 def _met(machine: Machine, here: RecordPosition, record: Mapping[str, Any]) -> tuple[str, int]:
@@ -368,9 +376,11 @@ def _told(
         if kind == "impact":
             words.append(f"impact on {stop}")
         if kind == "tail" or (kind == "impact" and machine.is_plastic(place.view)):
-            words[first:] = [f"{'Zeno point' if kind == 'tail' else 'plastic impact'} of {stop}"]
+            words[first if kind == "tail" else -1 :] = [
+                f"Zeno point of {stop}" if kind == "tail" else f"plastic impact on {stop}"
+            ]
         elif kind == "switch":
-            words.append(f"switch of {switches[place.switch]}")
+            words.append(f"switch {switches[place.switch]}")
         elif place.met[0] == "release" and kind == "cross":
             words.append(f"release of {stop}")
         else:

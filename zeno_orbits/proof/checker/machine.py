@@ -66,10 +66,10 @@ def read_sides(count: int, sides: Any) -> tuple[bool, ...]:
         count: Number of kinks.
         sides: The sides, 1 or 0 each.
     """
-    known = isinstance(sides, list) and all(type(x) is int for x in cast("list[Any]", sides))
-    if not known or not set(sides) <= {0, 1} or len(sides) != count:
+    given = cast("list[Any]", sides) if isinstance(sides, list) else [None]
+    if len(given) != count or not all(type(x) is int and x in (0, 1) for x in given):
         raise InputError("The certificate's `sides` must be 0 or 1 for each kink.")
-    return tuple(map(bool, sides))
+    return tuple(map(bool, given))
 
 
 def bound_machine(
@@ -110,7 +110,7 @@ def bound_machine(
     views = [View(k, sides) for sides in sorted(used) for k in range(n_stops)]
     formulas = {view: formulas_of(problem, view) for view in views}
     _require_row(row, formulas[start])
-    _require_same_conditions([formulas[view] for view in views if view.stop == 0])
+    _require_ordered({view.sides: formulas[view] for view in views if view.stop == 0})
     systems = {view: bound_system(formulas[view], numbers, over, row, view) for view in views}
     n_switches = len(graph.switches) + n_kinks
     names = tuple(one.name for one in graph.stops), graph.switch_names
@@ -125,19 +125,26 @@ def _require_row(row: Any, formulas: Formulas) -> None:
         raise InputError("The certificate's `gap_row` must be a coordinate.")
 
 
-def _require_same_conditions(sides: Sequence[Formulas]) -> None:
-    """Check that the guard of each switch is the same function on all sides of the kinks.
+def _require_ordered(sides: Mapping[tuple[bool, ...], Formulas]) -> None:
+    """Check that the condition of each kink depends on the sides of earlier kinks alone.
 
-    Then the guard of a switch that is crossed is zero on both sides.
+    Then a state has one consistent choice of sides, unless a condition is zero, and the condition
+    of a kink that is crossed is zero on both sides. Guards of declared switches depend on no side.
     """
-    graph = Graph()
-    x = [graph.put("input") for _ in range(sides[0].function.numel_in(0))]
-    p = [graph.put("input") for _ in range(sides[0].function.numel_in(1))]
-    every = [walked(one.function, graph, [x, p]) for one in sides]
-    guards = [outputs[7] if len(outputs) > 7 else [] for outputs in every]
-    for other in guards[1:]:
-        same = other == guards[0] or are_equal(graph, other, guards[0])
-        require(same, "the condition of a kink depends on the sides of other kinks")
+    graph, one = Graph(), next(iter(sides.values())).function
+    x = [graph.put("input") for _ in range(one.numel_in(0))]
+    p = [graph.put("input") for _ in range(one.numel_in(1))]
+    guards = dict[tuple[bool, ...], list[int]]()
+    for key, formulas in sides.items():
+        outputs = walked(formulas.function, graph, [x, p])
+        guards[key] = outputs[7] if len(outputs) > 7 else []
+    known = dict[tuple[int, tuple[bool, ...]], int]()
+    for key, nodes in guards.items():
+        declared = len(nodes) - len(key)
+        for k, node in enumerate(nodes):
+            first = known.setdefault((k, key[: max(0, k - declared)]), node)
+            same = first == node or are_equal(graph, [first], [node])
+            require(same, "the condition of a kink depends on its own or a later side")
 
 
 def _require_free_resets(system: System) -> None:

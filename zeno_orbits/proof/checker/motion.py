@@ -18,6 +18,7 @@ from zeno_orbits.proof.checker.balls import (
     require,
 )
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped
+from zeno_orbits.proof.checker.formulas import View
 from zeno_orbits.proof.checker.lanes import (
     LaneFlow,
     Lanes,
@@ -26,7 +27,6 @@ from zeno_orbits.proof.checker.lanes import (
     matmul,
     where,
 )
-from zeno_orbits.proof.checker.formulas import View
 from zeno_orbits.proof.checker.machine import (
     ONE_STOP,
     require_others_apart,
@@ -257,19 +257,14 @@ def crossed(
         if (value * sign).low <= 0:
             raise NotProved(f"the guard may vanish outside its window: {value.shown()}")
     _, slope, box = flow.at(between(a.low, b.high, bits))
-    same, start = met is system, flow.old.hull
+    _require_contact(system, met, place, flow, end, is_open=met.gap(flow.at(a)[2]).low > 0)
     if strikes:
         gradient, rate = met.identity[met.gap_row] * met.unit, met.gap_rate(box)
-        is_open = met.gap(flow.at(a)[2]).low > 0
-        began = place if same else place._replace(began="")
-        require_apart(met, began, start, flow.box, is_open=is_open, last=True)
-    if place.switch >= 0 or (strikes and not same):
-        require_apart(system, place, start, flow.box, is_open=system.gap(end).low > 0)
-    if place.switch >= 0:
+    elif place.switch >= 0:
         sign, k = system.signs[place.switch], place.switch
         gradient = system.gradient("guards", box)[k] * sign
         rate = system.value(f"guards_{place.mode}", box)[k] * sign
-    elif not strikes:
+    else:
         gradient = -system.gradient("acceleration", box)[0]
         rate, falling = (-system.value("locked_jerk", where)[0] for where in (box, flow.box))
         require(falling.high < 0, f"the multiplier's rate may be {falling.shown()}")
@@ -283,9 +278,30 @@ def crossed(
     return Mapped(point, slope, time, delay)
 
 
-def _guard(
-    system: System, place: RecordPosition, flow: Flow, time: Ball, *, whole: bool
-) -> Ball:
+def _require_contact(
+    system: System, met: System, place: RecordPosition, flow: Flow, end: Array, *, is_open: bool
+) -> None:
+    """Check the gaps of the own stop and of the stop that is met, or the contact force.
+
+    The force before a release follows from its rate.
+
+    Args:
+        system: The system of the mode.
+        met: The system of the stop that is met, or the same one.
+        place: Position of the record in the motion.
+        flow: The step.
+        end: Box of the states at its end.
+        is_open: True if the gap that closes is positive just before the crossing.
+    """
+    start, strikes = flow.old.hull, place.met[0] == "stop"
+    if strikes:
+        began = place if met is system else place._replace(began="")
+        require_apart(met, began, start, flow.box, is_open=is_open, last=True)
+    if place.switch >= 0 or (strikes and met is not system):
+        require_apart(system, place, start, flow.box, is_open=system.gap(end).low > 0)
+
+
+def _guard(system: System, place: RecordPosition, flow: Flow, time: Ball, *, whole: bool) -> Ball:
     """Return the guard at a time in a step, for the point alone or for the whole set."""
     point, slope, box = flow.at(time)
     if place.met[0] == "stop":

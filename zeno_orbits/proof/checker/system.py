@@ -282,8 +282,8 @@ def bound_system(
         slopes={mode: [tangents[node] for node in nodes] for mode, nodes in flow.items()},
         nodes=nodes,
         tangents=tangents,
-        gap_row=own[0] if row is None else row,
-        rate_row=own[1] if row is None else n_q + row,
+        gap_row=n_x + 2 * stop if row is None else row,
+        rate_row=n_x + 2 * stop + 1 if row is None else n_q + row,
         unit=unit,
         stop=origin,
         settling=settling,
@@ -302,12 +302,13 @@ def _require_positions(
     direction: Row,
     gaps: Sequence[int],
 ) -> None:
-    """Check that gaps depend on coordinates, whose rates are states that no impulse changes them.
+    """Check that gaps depend on coordinates, whose rates are states and that impacts do not change.
 
     Then all systems of a machine have the same gap rates, on all sides of the kinks.
     """
     require([*free[:n_q]] == [*x[n_q : 2 * n_q]], "the rate of a coordinate is not a state")
-    require(not any(direction[:n_q]), "an impact changes a coordinate")
+    still = all(node is None for node in direction[:n_q])
+    require(still, "an impact changes a coordinate")
     of_gaps = graph.needed(gaps)
     require(set(x[n_q:]).isdisjoint(of_gaps), "a gap depends on other states than coordinates")
 

@@ -40,8 +40,8 @@ class Theorem:
             intervals.
         followed: True if the motion from the first box is proved.
         releases: Number of releases per period.
-        events: All events of a period in order, in words, for a machine with several stops, switches
-            or kinks. Impacts that accumulate belong to their Zeno point.
+        events: All events of a period in order, in words, for a machine with several stops,
+            switches or kinks. Impacts that accumulate belong to their Zeno point.
         impacts: Number of individually proved impacts per period.
         zeno_points: Number of Zeno points per period.
         plastic: True if the restitution is zero. A single impact then starts contact.

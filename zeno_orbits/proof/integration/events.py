@@ -78,17 +78,17 @@ class Meeting(NamedTuple):
 
     Attributes:
         kind: ``stop``, ``release`` or ``switch``.
-        index: Index of the stop or of the switch.
+        number: Index of the stop or of the switch.
     """
 
     kind: str
-    index: int
+    number: int
 
 
 def _guard(system: BallSystem, departure: Departure, met: Meeting) -> _Guard:
     flow = system.locked if departure is Departure.LOCKED else system.free
     if met.kind == "switch":
-        k = met.index
+        k = met.number
         return _Guard(
             value=lambda y: system.guards(y)[k][0],
             terms=lambda y: (system.guards(y)[k][1], flow.rate(y)),

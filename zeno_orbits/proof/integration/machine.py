@@ -107,9 +107,7 @@ class BallMachine:
         for _ in range(2 * len(sides) + 1):
             guards = self.view(stop, tuple(sides)).guards(box)[first:]
             wrong = [
-                k
-                for k, (value, _) in enumerate(guards)
-                if k != crossed and not bool(value > 0)
+                k for k, (value, _) in enumerate(guards) if k != crossed and not bool(value > 0)
             ]
             if not wrong:
                 return tuple(sides)
@@ -117,5 +115,7 @@ class BallMachine:
             if not bool(guards[k][0] < 0):
                 what = f"`{self.switch_names[first + k]}` is not proved to differ from zero"
                 raise ProofError("switch", f"the condition of {what} just after an event")
+            if crossed is not None and k < crossed:
+                raise ProofError("switch", "a kink changes the side of an earlier one")
             sides[k] = not sides[k]
         raise ProofError("switch", "the sides of the kinks are not consistent just after an event")

@@ -92,11 +92,13 @@ class PassageEvent:
         kind: Kind of the event. A plastic impact that starts contact is an impact and a Zeno point.
         stage: The set at the event, or just before it for an impact.
         name: Name of the stop or of the switch.
+        plastic: True for a plastic impact that starts contact.
     """
 
     kind: PassageKind
     stage: ProofStage
     name: str
+    plastic: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,13 +133,19 @@ class ProofPassage:
             if event.kind is PassageKind.IMPACT:
                 words.append(f"impact on {event.name}")
             elif event.kind is PassageKind.ZENO_POINT:
-                del words[first:]
-                words.append(f"{event.kind.value} of {event.name}")
+                words[-1 if event.plastic else first :] = [self._held(event)]
+            elif event.kind is PassageKind.SWITCH:
+                words.append(f"switch {event.name}")
             else:
-                words.append(f"{event.kind.value} of {event.name}")
+                words.append(f"release of {event.name}")
             if event.kind is not PassageKind.IMPACT:
                 first = len(words)
         return tuple(words)
+
+    @staticmethod
+    def _held(event: PassageEvent) -> str:
+        what = "plastic impact on" if event.plastic else "Zeno point of"
+        return f"{what} {event.name}"
 
     @property
     def period(self) -> BallTime:
@@ -230,7 +238,7 @@ class _Way:
             self.records.append(record)
             self._tell(self.stage.departure.value, float(self.stage.time.middle.mid()))
         if met.kind == "switch":
-            self._switch(met.index)
+            self._switch(met.number)
         elif met.kind == "release":
             self._note(PassageKind.RELEASE)
             self.n_returns += self._on_section and not self._system.struck
@@ -293,12 +301,13 @@ class _Way:
         return True
 
     def _hold(self) -> None:
-        self._note(PassageKind.ZENO_POINT)
+        self._note(PassageKind.ZENO_POINT, plastic=self._system.plastic)
         self._pace.size = self._settings.first * self._system.period
 
-    def _note(self, kind: PassageKind, name: str = "") -> None:
+    def _note(self, kind: PassageKind, name: str = "", *, plastic: bool = False) -> None:
         name = name or self._machine.stop_names[self.stage.stop]
-        self.events.append(PassageEvent(kind=kind, stage=self.stage, name=name))
+        event = PassageEvent(kind=kind, stage=self.stage, name=name, plastic=plastic)
+        self.events.append(event)
 
 
 def _met_first(
@@ -341,10 +350,8 @@ def _step_reason(
     for k, view in enumerate(machine.views(stage.sides)):
         own = k == stage.stop
         departure = stage.departure if own else Departure.FLYING
-        ends = met is not None and met.kind != "switch" and met.index == k
-        reason = contact_reason(
-            view, flow, departure, start, box, None if ends else end[view.gap]
-        )
+        ends = met is not None and met.kind != "switch" and met.number == k
+        reason = contact_reason(view, flow, departure, start, box, None if ends else end[view.gap])
         if reason:
             return reason
     reason = switch_reason(system, stage, box, end, met)
@@ -385,9 +392,7 @@ def _move(
             size = max(least, size * max(0.25, 0.9 * excess ** (-1 / (orders[1] + 1))))
             continue
         image, derivative = step.point(points, exact), step.derivative(exact)
-        end = [
-            a + b for a, b in zip(image, product(derivative, stage.at.deviation), strict=True)
-        ]
+        end = [a + b for a, b in zip(image, product(derivative, stage.at.deviation), strict=True)]
         reason = _step_reason(machine, stage, step.box, end, met if meets else None)
         if reason:
             shortened = True
@@ -405,7 +410,7 @@ def _move(
             guess, met, size = dip, touched, _aimed(dip, size)
             continue
         if meets and guess is not None:
-            stop = met.index if met.kind == "stop" else stage.stop
+            stop = met.number if met.kind == "stop" else stage.stop
             seen = machine.view(stop, stage.sides)
             record, after = cross(seen, stage, step, points, arb(guess), met)
             return record, replace(after, stop=stop), met
