@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -256,3 +257,14 @@ def test_a_leg_of_nine_states_is_proved_by_default_and_its_certificate_holds() -
     found = zo.floquet_multipliers(orbit, problem=problem)
     for disc in proof.bounds.multipliers:
         assert min(abs(disc.centre - value) for value in found.values) < disc.radius + 1e-7
+
+
+@pytest.mark.slow
+def test_a_motion_that_needs_too_many_steps_is_refused_early_with_their_number() -> None:
+    # The electrical time constant is a millionth of the period, and no step is much longer.
+    orbit = zo.find_orbit_by_shooting("motor_pendulum", parameters={"L": 5e-6}).unwrap()
+    started = time.process_time()
+    proof = zo.prove(orbit)
+    assert proof.claim == "steps"
+    assert "steps of" in proof.reason
+    assert time.process_time() - started < 60.0

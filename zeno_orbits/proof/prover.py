@@ -56,6 +56,8 @@ _RADII = (1e-9, 1e-12, 1e-14)
 """Trial radii of the box, relative to the size of each coordinate."""
 _ATTEMPTS = 3
 """Largest number of further boxes that are tried after failures."""
+_FOR_EVERY_BOX = ("shape", "steps")
+"""Claims that fail for every box if they fail for one."""
 _REFINEMENTS = 8
 _FINE = 4e-15
 """Radius of the box that determines the digits, relative to the size of each coordinate."""
@@ -192,6 +194,8 @@ def _found(search: _Search) -> JudgedBox:
             start = start_on_section(system, middle, places, others, [*radii, *varied])
             judged = judge(start, search.walked(start))
         except ProofError as error:
+            if error.claim in _FOR_EVERY_BOX:
+                raise
             failure = error
             continue
         _require_closed(judged.defect, sizes)

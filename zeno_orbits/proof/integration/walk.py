@@ -38,6 +38,8 @@ from zeno_orbits.proof.integration.sets import (
     balanced,
 )
 
+_EVERY = 500
+"""Number of steps after which the number that a period needs is estimated."""
 _NEAR = 1e-3
 """Gap rate, in its unit, below which flights are short and their rows must keep their precision."""
 _SHORTEST = 1e-5
@@ -63,6 +65,7 @@ class WalkSettings:
         slowest: Gap rate below which the Zeno tail always replaces the remaining impacts, relative
             to the fastest impact.
         most_impacts: Largest number of impacts in a flight phase.
+        most_steps: Largest number of steps in a period.
     """
 
     orders: tuple[int, int] = (34, 28)
@@ -73,6 +76,7 @@ class WalkSettings:
     slow: float = 1e-2
     slowest: float = 1e-19
     most_impacts: int = 5000
+    most_steps: int = 12_000
 
 
 class PassageKind(Enum):
@@ -236,7 +240,9 @@ class _Way:
                 self._machine, self.stage, self._pace, self._settings, least
             )
             self.records.append(record)
-            self._tell(self.stage.departure.value, float(self.stage.time.middle.mid()))
+            now = float(self.stage.time.middle.mid())
+            self._tell(self.stage.departure.value, now)
+            self._require_few(now)
         if met.kind == "switch":
             self._switch(met.number)
         elif met.kind == "release":
@@ -244,6 +250,16 @@ class _Way:
             self.n_returns += self._on_section and not self._system.struck
         else:
             self._strike()
+
+    def _require_few(self, now: float) -> None:
+        """Raise an error if the steps are so short that a period would need too many of them."""
+        count, most = len(self.records), self._settings.most_steps
+        if count % _EVERY == 0 and now > 0.0:
+            needed = count * self._system.period / now
+            size = f"steps of {now / count:.1e} s are needed"
+            reason = f"{size}, about {needed:.0f} in a period, but {most} are the most"
+            if needed > most:
+                raise ProofError("steps", reason)
 
     def _switch(self, switch: int) -> None:
         """Pass a switch: the reset of a declared switch, and the sides of the kinks."""
