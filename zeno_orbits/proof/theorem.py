@@ -324,6 +324,7 @@ class Proof:
             "inside": self.inside,
             "stable": self.stable,
             "repelling": self.repelling,
+            "events": list(self.events),
             "period": bounds.period.text,
             "zeno_times": [one.text for one in bounds.zeno_times],
             "start_state": {name: one.text for name, one in bounds.start_state.items()},

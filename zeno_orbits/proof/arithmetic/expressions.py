@@ -14,9 +14,9 @@ import hashlib
 import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import casadi as ca
 
@@ -187,108 +187,171 @@ def proof_expressions(
     )
     one = ca.SX.sym("one")
     outputs, names, values = _without_constants(function, one * x, one * p)
-    free, gap, direction, restitution, holonomic, inertia, gaps, guards, armed, *resets = outputs
     over = [symbols[name] for name in carried]
-    n_stops = len(seen.gaps)
-    coordinate = None
-    if n_stops == 1:
-        coordinate = _coordinate(system.n_q, x, one, gap, free, over)
-    still = ca.SX.zeros(len(over))
+    formulas, coordinate = _Formulas(*outputs[:9], outputs[9:]), None
+    if len(seen.gaps) == 1:
+        coordinate = _coordinate(system.n_q, x, one, formulas.gap, formulas.free, over)
     if coordinate is None:
-        ends = ca.SX.sym("gap", 2 * n_stops)
-        states = ca.vertcat(x, ends, *over)
-        places = (x.numel() + 2 * seen.stop, x.numel() + 2 * seen.stop + 1)
-        rates = ca.jtimes(gaps, x, free)
-        accelerations = ca.jtimes(rates, x, free)
-        rate, acceleration = rates[seen.stop], accelerations[seen.stop]
-        direction = direction / ca.jtimes(rate, x, direction)
-        struck_rates = ca.jtimes(rates, x, direction)
-        struck_rates[seen.stop] = 1
-        beside, pushed = ca.SX(0, 1), ca.SX(0, 1)
-        for k in range(n_stops):
-            beside = ca.vertcat(beside, ends[2 * k + 1], accelerations[k])
-            pushed = ca.vertcat(pushed, 0, struck_rates[k])
-        free = ca.vertcat(free, beside, still)
-        direction = ca.vertcat(direction, pushed, still)
-        resets = [ca.vertcat(reset, ends, *over) for reset in resets]
-        stops = ca.SX(0, 1)
-        for k in range(n_stops):
-            stops = ca.vertcat(stops, gaps[k], rates[k])
-        constraints = ca.vertcat(-acceleration, gap, rate, holonomic)
-        struck = ca.vertcat(gap, holonomic)
-        defined = ca.vertcat(gap, holonomic)
+        form = _with_gap_states(formulas, x, over, seen.stop)
     else:
-        g, sign = coordinate.place, coordinate.sign
-        places = (g, system.n_q + g)
-        states = ca.vertcat(x, *over)
-        moved = ca.SX(x)
-        moved[g] = sign * (x[g] - coordinate.offset)
-        moved[places[1]] = sign * x[places[1]]
-        for expression in (free, direction):
-            expression[places[1]] *= sign
-        resets = [ca.vertcat(reset, *over) for reset in resets]
-        formulas = [free, direction, restitution, holonomic, gap, inertia, guards, armed]
-        moved_formulas = ca.substitute([*formulas, *resets], [x], [moved])
-        free, direction, restitution, holonomic, gap, inertia, guards, armed, *resets = (
-            moved_formulas
-        )
-        for expression in resets:
-            expression[g], expression[places[1]] = x[g], x[places[1]]
-        free[g], acceleration = x[places[1]], free[places[1]]
-        direction = direction / direction[places[1]]
-        direction[g], direction[places[1]] = 0, 1
-        free, direction = ca.vertcat(free, still), ca.vertcat(direction, still)
-        constraints = ca.vertcat(-acceleration, holonomic)
-        struck = ca.SX(holonomic)
-        stops = ca.vertcat(x[g], x[places[1]])
-        defined = ca.vertcat(gap, holonomic)
-    locked = free - acceleration * direction
-    locked[list(places)] = 0
+        form = _with_gap_coordinate(formulas, x, over, coordinate, system.n_q)
     # A symbol is used because CasADi would round the value of a function at the number 0.
-    zero, on_stop = ca.SX.sym("zero"), ca.SX(states)
-    on_stop[list(places)] = zero
-    locked, pressure, constraints = ca.substitute(
-        [locked, -acceleration, constraints], [states], [on_stop]
-    )
-    parts = [free, locked, direction, pressure, restitution, constraints, struck]
-    parts += [defined, inertia, stops, guards, armed, *resets]
+    zero, places = ca.SX.sym("zero"), list(form.places)
+    form = form.on_stop(zero)
     if sizes:
         n_x = x.numel()
         kept = sizes if coordinate is None else [*sizes[:n_x], *sizes[n_x + 2 :]]
-        unit = ca.SX(list(kept))
-        parts = ca.substitute(parts, [states], [unit * states])
-        for k in range(2):
-            parts[k] = parts[k] / unit
-        parts[2] = parts[2] * unit[places[1]] / unit
-        for k in range(12, len(parts)):
-            parts[k] = parts[k] / unit
-        first = places[0] if coordinate is not None else x.numel()
-        rows = [first, places[1]] if coordinate is not None else range(first, first + 2 * n_stops)
-        parts[9] = parts[9] / unit[list(rows)]
-    free, locked, direction, pressure, restitution, constraints, struck, *rest = parts
+        form = form.scaled(ca.SX(list(kept)))
     left = [symbols[name] for name in problem.names if name not in carried]
     return ProofExpressions(
         digest=_digest(seen, p),
-        states=states,
+        states=form.states,
         numbers=ca.vertcat(*left, *names, zero, one),
         constants=(*values, 0.0, 1.0),
         gap_place=places[0],
         rate_place=places[1],
         coordinate=coordinate,
-        free=free,
-        locked=locked,
-        pressure=pressure,
-        direction=direction,
-        restitution=restitution,
-        inertia=rest[1],
-        constraints=constraints,
-        struck_constraints=struck,
-        defined=rest[0],
-        n_stops=n_stops,
-        gaps=rest[2],
-        guards=rest[3],
-        armed=rest[4],
-        resets=tuple(rest[5:]),
+        n_stops=len(seen.gaps),
+        **form.parts,
+        resets=tuple(form.resets),
+    )
+
+
+class _Formulas(NamedTuple):
+    """The formulas of a problem, without constants."""
+
+    free: ca.SX
+    gap: ca.SX
+    direction: ca.SX
+    restitution: ca.SX
+    holonomic: ca.SX
+    inertia: ca.SX
+    gaps: ca.SX
+    guards: ca.SX
+    armed: ca.SX
+    resets: Sequence[ca.SX]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Form:
+    """Formulas in the prover's states.
+
+    Attributes:
+        states: The states.
+        places: Indices of the own gap and gap rate.
+        ends: Indices of gap and gap rate of every stop.
+        acceleration: The own gap acceleration.
+        parts: Formulas by their names in `ProofExpressions`.
+        resets: State after each declared switch.
+    """
+
+    states: ca.SX
+    places: tuple[int, int]
+    ends: Sequence[int]
+    acceleration: ca.SX
+    parts: dict[str, ca.SX]
+    resets: Sequence[ca.SX]
+
+    def on_stop(self, zero: ca.SX) -> _Form:
+        """Return the formulas with locked flow and pressure, at a gap and a gap rate of zero."""
+        parts, places = self.parts, list(self.places)
+        locked = parts["free"] - self.acceleration * parts["direction"]
+        locked[places] = 0
+        stopped = ca.SX(self.states)
+        stopped[places] = zero
+        found = ca.substitute(
+            [locked, -self.acceleration, parts["constraints"]], [self.states], [stopped]
+        )
+        names = ("locked", "pressure", "constraints")
+        return replace(self, parts=parts | dict(zip(names, found, strict=True)))
+
+    def scaled(self, unit: ca.SX) -> _Form:
+        """Return the formulas of states in units."""
+        every = ca.substitute(
+            [*self.parts.values(), *self.resets], [self.states], [unit * self.states]
+        )
+        parts = dict(zip(self.parts, every, strict=False))
+        for name in ("free", "locked"):
+            parts[name] = parts[name] / unit
+        parts["direction"] = parts["direction"] * unit[self.places[1]] / unit
+        parts["gaps"] = parts["gaps"] / unit[list(self.ends)]
+        resets = [one / unit for one in every[len(parts) :]]
+        return replace(self, parts=parts, resets=resets)
+
+
+def _with_gap_states(f: _Formulas, x: ca.SX, over: Sequence[ca.SX], stop: int) -> _Form:
+    """Return formulas with gap and gap rate of every stop as additional states."""
+    n, n_x, still = f.gaps.numel(), x.numel(), ca.SX.zeros(len(over))
+    ends = ca.SX.sym("gap", 2 * n)
+    rates = ca.jtimes(f.gaps, x, f.free)
+    accelerations = ca.jtimes(rates, x, f.free)
+    direction = f.direction / ca.jtimes(rates[stop], x, f.direction)
+    pushed = ca.jtimes(rates, x, direction)
+    pushed[stop] = 1
+
+    def paired(first: ca.SX, second: ca.SX) -> ca.SX:
+        return ca.vec(ca.horzcat(first, second).T)
+
+    constraints = ca.vertcat(-accelerations[stop], f.gap, rates[stop], f.holonomic)
+    off_section = ca.vertcat(f.gap, f.holonomic)
+    return _Form(
+        states=ca.vertcat(x, ends, *over),
+        places=(n_x + 2 * stop, n_x + 2 * stop + 1),
+        ends=range(n_x, n_x + 2 * n),
+        acceleration=accelerations[stop],
+        parts={
+            "free": ca.vertcat(f.free, paired(ends[1::2], accelerations), still),
+            "direction": ca.vertcat(direction, paired(ca.SX.zeros(n), pushed), still),
+            "restitution": f.restitution,
+            "inertia": f.inertia,
+            "constraints": constraints,
+            "struck_constraints": off_section,
+            "defined": off_section,
+            "gaps": paired(f.gaps, rates),
+            "guards": f.guards,
+            "armed": f.armed,
+        },
+        resets=[ca.vertcat(reset, ends, *over) for reset in f.resets],
+    )
+
+
+def _with_gap_coordinate(
+    f: _Formulas, x: ca.SX, over: Sequence[ca.SX], coordinate: GapCoordinate, n_q: int
+) -> _Form:
+    """Return formulas with the gap and its rate in place of the coordinate and its rate."""
+    g, sign, still = coordinate.place, coordinate.sign, ca.SX.zeros(len(over))
+    rate = n_q + g
+    moved = ca.SX(x)
+    moved[g] = sign * (x[g] - coordinate.offset)
+    moved[rate] = sign * x[rate]
+    resets = [ca.vertcat(reset, *over) for reset in f.resets]
+    found = ca.substitute([*f[:-1], *resets], [x], [moved])
+    free, gap, direction, restitution, holonomic, inertia, _, guards, armed, *resets = found
+    for reset in resets:
+        reset[g], reset[rate] = x[g], x[rate]
+    for expression in (free, direction):
+        expression[rate] *= sign
+    free[g], acceleration = x[rate], free[rate]
+    direction = direction / direction[rate]
+    direction[g], direction[rate] = 0, 1
+    return _Form(
+        states=ca.vertcat(x, *over),
+        places=(g, rate),
+        ends=(g, rate),
+        acceleration=acceleration,
+        parts={
+            "free": ca.vertcat(free, still),
+            "direction": ca.vertcat(direction, still),
+            "restitution": restitution,
+            "inertia": inertia,
+            "constraints": ca.vertcat(-acceleration, holonomic),
+            "struck_constraints": ca.SX(holonomic),
+            "defined": ca.vertcat(gap, holonomic),
+            "gaps": ca.vertcat(x[g], x[rate]),
+            "guards": guards,
+            "armed": armed,
+        },
+        resets=resets,
     )
 
 

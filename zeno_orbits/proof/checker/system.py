@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -173,21 +174,12 @@ def bound_system(
         InputError: If the lemmas do not apply to the problem.
     """
     graph, n_x, n_q = Graph(), formulas.function.numel_in(0), formulas.n_q
-    bits = next(iter(numbers.values())).bits
+    bits, stop = next(iter(numbers.values())).bits, 0 if view is None else view.stop
     x = [graph.put("input") for _ in range(n_x)]
     p = {name: graph.put("input") for name in numbers}
-    free, _, contact, along, (law, *faster), rows, *further = walked(
-        formulas.function, graph, [x, list(p.values())]
-    )
-    gaps, guards, armed, *resets = further or ([contact[0]], [], [])
-    require(not faster, "its restitution depends on the impact speed, and Lemma 10 has a constant")
-    gap = contact[0]
-    require_analytic(graph, [*free, *along, law, *rows])
-    require_analytic(graph, [*gaps, *guards, *armed, *(node for one in resets for node in one)])
-    stop = 0 if view is None else view.stop
-    require(gaps[stop] == gap, "the gap is not that of its stop")
-    constant = set(x).isdisjoint(graph.needed([law]))
-    require(constant, "its restitution is not constant")
+    given = _given(formulas, graph, x, list(p.values()), stop)
+    free, along, law, rows, gaps, guards, armed, resets = given
+    gap = gaps[stop]
 
     def derivative(node: int, field: Sequence[int | None]) -> int:
         found = graph.tangents([node], dict(zip(x, ([k] for k in field), strict=True)))[0][0]
@@ -215,35 +207,24 @@ def bound_system(
     rates = [derivative(node, nothing) for node in rows]
     gap_rates = [derivative(node, nothing) for node in gaps]
     pushed = [derivative(node, D) for node in gap_rates]
-    beside = [k for k in range(len(gaps)) if k != stop]
-    pairs = [(gap_rates[k], pushed[k]) for k in beside]
+    pairs = [(gap_rates[k], pushed[k]) for k in range(len(gaps)) if k != stop]
     require_impacts(graph, x, D, gap=gap, rate=rate, rows=rows, beside=pairs)
     require_kept(graph, rows, rates)
     (masses,) = walked(formulas.inertia, graph, [x, list(p.values())])
     require_analytic(graph, masses)
     carried = [graph.put("input") for _ in range(2 * len(gaps) if row is None else 0)]
     lifted = [derivative(node, nothing) for node in gap_rates]
-    at_stops = {"free": list[int | None](), "locked": list[int | None](), "direction": [None] * 0}
-    for k in range(len(carried) // 2):
-        pull = graph.total(lifted[k], graph.product(force, pushed[k])) if k != stop else None
-        at_stops["free"] += [carried[2 * k + 1], lifted[k]]
-        at_stops["locked"] += [carried[2 * k + 1] if k != stop else None, pull]
-        at_stops["direction"] += [None, pushed[k]]
+    flying, held, struck = _at_stops(graph, carried, stop, force, lifted, pushed)
     own = (n_x + 2 * stop, n_x + 2 * stop + 1) if carried else ()
     settling = [k for k in range(n_x + len(carried)) if k not in own]
-
-    def settled(states: Sequence[int | None], stops: Sequence[int | None]) -> Row:
-        every = [*states, *stops]
-        return [every[k] for k in settling]
-
     nodes: dict[str, Row] = {
-        "free": settled(nothing, at_stops["free"]),
+        "free": [[*nothing, *flying][k] for k in settling],
         "gap": [gap],
         "gap_rate": [rate],
         "acceleration": [acceleration],
         "jerk": [derivative(acceleration, nothing)],
         "locked_jerk": [derivative(acceleration, locked)],
-        "direction": settled(D, at_stops["direction"]),
+        "direction": [[*D, *struck][k] for k in settling],
         "law": [law],
         "constraints": [*rows],
         "stops": [node for pair in zip(gaps, gap_rates, strict=True) for node in pair],
@@ -256,17 +237,10 @@ def bound_system(
     z = [*x, *carried, *(p[name] for name in over)]
     rest: Row = [None] * (len(z) - n_x)
     flow: dict[str, Row] = {
-        "free": [*nothing, *at_stops["free"], *rest][: len(z)],
-        "locked": [*locked, *at_stops["locked"], *rest][: len(z)],
+        "free": [*nothing, *flying, *rest][: len(z)],
+        "locked": [*locked, *held, *rest][: len(z)],
     }
-    one_hot = {place: [graph.one if k == place else None for k in z] for place in z}
-    every = [
-        node for part in (*flow.values(), *nodes.values()) for node in part if node is not None
-    ]
-    none: Row = [None] * len(z)
-    tangents: dict[int | None, Row] = dict[int | None, Row](
-        zip(every, graph.tangents(every, one_hot), strict=True)
-    ) | {None: none}
+    tangents = _tangents(graph, z, [*flow.values(), *nodes.values()])
     nodes["inertia"] = [*masses]
     unit, origin = Ball(1 << bits, 0, bits), Ball(0, 0, bits)
     constants = {p[name]: ball for name, ball in numbers.items() if name not in over}
@@ -292,6 +266,73 @@ def bound_system(
         n_declared=len(armed),
         changed=[[k for k, node in enumerate(one) if node != x[k]] for one in resets],
     )
+
+
+class _Given(NamedTuple):
+    """Nodes of the formulas of a problem."""
+
+    free: list[int]
+    along: Row
+    law: int
+    rows: list[int]
+    gaps: list[int]
+    guards: list[int]
+    armed: list[int]
+    resets: list[list[int]]
+
+
+def _given(
+    formulas: Formulas, graph: Graph, x: Sequence[int], p: Sequence[int], stop: int
+) -> _Given:
+    """Return the formulas as nodes. All are analytic, and the restitution is constant."""
+    free, _, contact, along, (law, *faster), rows, *further = walked(
+        formulas.function, graph, [x, p]
+    )
+    gaps, guards, armed, *resets = further or ([contact[0]], [], [])
+    require(not faster, "its restitution depends on the impact speed, and Lemma 10 has a constant")
+    require_analytic(graph, [*free, *along, law, *rows])
+    require_analytic(graph, [*gaps, *guards, *armed, *(node for one in resets for node in one)])
+    require(gaps[stop] == contact[0], "the gap is not that of its stop")
+    constant = set(x).isdisjoint(graph.needed([law]))
+    require(constant, "its restitution is not constant")
+    return _Given(free, [*along], law, rows, gaps, guards, armed, resets)
+
+
+def _at_stops(
+    graph: Graph,
+    carried: Sequence[int],
+    stop: int,
+    force: int,
+    lifted: Sequence[int],
+    pushed: Sequence[int],
+) -> tuple[Row, Row, Row]:
+    """Return the rates of all gaps and gap rates in flight and in contact, and their changes.
+
+    Args:
+        graph: The nodes are there.
+        carried: Inputs of gap and gap rate of each stop.
+        stop: The stop of the system.
+        force: Minus its gap acceleration.
+        lifted: Acceleration of each gap in flight.
+        pushed: Change of each gap rate per unit change of the own gap rate.
+    """
+    flying, held, struck = list[int | None](), list[int | None](), list[int | None]()
+    for k in range(len(carried) // 2):
+        rate, away = carried[2 * k + 1], k != stop
+        pull = graph.total(lifted[k], graph.product(force, pushed[k]))
+        flying += [rate, lifted[k]]
+        held += [rate, pull] if away else [None, None]
+        struck += [None, pushed[k]]
+    return flying, held, struck
+
+
+def _tangents(graph: Graph, z: Sequence[int], parts: Sequence[Row]) -> dict[int | None, Row]:
+    """Return the derivatives of nodes with respect to the states."""
+    one_hot = {place: [graph.one if k == place else None for k in z] for place in z}
+    every = [node for part in parts for node in part if node is not None]
+    none: Row = [None] * len(z)
+    found = zip(every, graph.tangents(every, one_hot), strict=True)
+    return dict[int | None, Row](found) | {None: none}
 
 
 def _require_positions(
