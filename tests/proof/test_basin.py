@@ -76,11 +76,12 @@ def remembered(monkeypatch: pytest.MonkeyPatch) -> None:
 def _remembered(prove: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
     known = dict[str, Any]()
 
-    def proved(system: Any, about: Any, tasks: Sequence[Any]) -> list[Any]:
+    def proved(given: Any, about: Any, tasks: Sequence[Any]) -> list[Any]:
+        system = getattr(given, "first", given)
         numbers = repr((system.constants, system.unit, system.stop, about))
         keys = [numbers + repr(task) for task in tasks]
         new = [k for k, key in enumerate(keys) if key not in known]
-        for k, one in zip(new, prove(system, about, [tasks[k] for k in new]), strict=True):
+        for k, one in zip(new, prove(given, about, [tasks[k] for k in new]), strict=True):
             known[keys[k]] = one
         return [known[key] for key in keys]
 

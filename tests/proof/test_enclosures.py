@@ -18,8 +18,9 @@ from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof.arithmetic.balls import matrix
 from zeno_orbits.proof.integration.ball_system import BallSystem
 from zeno_orbits.proof.integration.flow import BallFlow, enclose
+from zeno_orbits.proof.integration.machine import BallMachine
 from zeno_orbits.proof.integration.section import section_places, start_on_section
-from zeno_orbits.proof.integration.sets import ProofStage, start_set
+from zeno_orbits.proof.integration.sets import Departure, ProofStage, start_set
 from zeno_orbits.proof.integration.walk import ProofPassage, WalkSettings, walk
 
 _BITS = 128
@@ -40,14 +41,15 @@ def _check(orbit: Orbit, radius: float, shares: list[float]) -> None:
     problem = zo.load_problem(orbit.problem)
     values = orbit.values(problem)
     with ctx.workprec(_BITS):
-        system = BallSystem(problem, values)
+        machine = BallMachine(problem, values, {}, 1.0, struck=False, is_graph=False)
+        system = machine.view(0, ())
         y = list(problem.state_vector(orbit.start_state))
         places, others = section_places(system, y)
         radii = [radius * max(abs(y[k]), 1e-3) for k in places]
         exact = [arb(value) for value in y]
         start = start_on_section(system, exact, places, others, radii)
-        begin = ProofStage.released(start.at)
-        passage = walk(system, begin, 1, WalkSettings(), lambda *_: None)
+        begin = ProofStage.started(start.at, Departure.RELEASED)
+        passage = walk(machine, begin, 1, WalkSettings(), lambda *_: None)
         offset = [arb(s) * r for s, r in zip(shares, radii, strict=False)]
         inside = list(exact)
         for k, change in zip(places, offset, strict=True):
@@ -62,7 +64,7 @@ def _compare(
     with localcontext() as digits:
         digits.prec = 60
         state = [_decimal(x) for x in point]
-        until = float(passage.release_times[0].middle.mid()) + 1e-4
+        until = float(passage.period.middle.mid()) + 1e-4
         run = extended_execution(problem, values, state, until=until, digits=20)
     # A start on the edge of release may count as a release at time zero.
     (release,) = [one for one in run.releases if one.time > Decimal("1e-9")]
@@ -71,7 +73,7 @@ def _compare(
     for truth, time in zip(run.impacts, passage.impact_times, strict=False):
         assert _holds(time.at(offset), truth.time)
     assert _holds(passage.zeno_times[0].at(offset), zeno.time)
-    assert _holds(passage.release_times[0].at(offset), release.time)
+    assert _holds(passage.period.at(offset), release.time)
     for ball, truth in zip(passage.end.at.box, release.state, strict=True):
         assert _holds(ball, truth)
 

@@ -168,17 +168,18 @@ EDITS: dict[str, Callable[[Certificate], Any]] = {
 }
 
 
+def _conclusions(certificate: Certificate) -> list[str]:
+    try:
+        return check_proof(certificate).conclusions()
+    except InputError:
+        return []
+
+
 @pytest.mark.parametrize("name", fast(4, EDITS))
 def test_no_edited_certificate_of_a_machine_is_accepted(hopper: Proof, name: str) -> None:
     edited = copy.deepcopy(dict(hopper.certificate))
     EDITS[name](edited)
-    try:
-        verdict = check_proof(edited)
-    except InputError as error:
-        assert "certificate" in str(error)
-    else:
-        assert not verdict.ok
-        assert not verdict.conclusions()
+    assert not _conclusions(edited)
 
 
 @pytest.mark.slow

@@ -139,7 +139,8 @@ def test_a_tail_hardly_slower_than_its_bound_is_refused(
     false = copy.deepcopy(zeno)
     records = false["passes"][0]["records"]
     before = records[records.index(_tail(false)) - 1]["set"]
-    system, over, _ = judged.read_system(false, load_problem("forced_oscillator"))
+    machine, over, _ = judged.read_machine(false, load_problem("forced_oscillator"))
+    system = machine.first
     section = judged.ContactSection.of(system, false["section"])
     box = judged.Box.of(system, section, false["passes"][0]["box"], over)
     speed = system.gap_rate(judged._set(system, box, before).hull)
