@@ -250,3 +250,21 @@ def _oscillator() -> Problem:
         portraits=(("place", "speed"),),
         amplitude_of="place",
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["s", "restitution"])
+def test_the_hopper_is_proved_over_an_interval_that_holds_its_closed_form(name: str) -> None:
+    proof = zo.prove(zo.find_event_orbit("hopper"), interval={name: 1e-9})
+    assert proof.proved, proof.verdict()
+    assert proof.bounds is not None
+    speed = proof.bounds.start_state["speed"]
+    for change in (-1e-9, 1e-9):
+        numbers = {"s": 0.1, "restitution": 0.5}
+        numbers[name] += change
+        e = numbers["restitution"]
+        exact = e * math.sqrt(40.0 * numbers["s"] / (1 - e**2))
+        # The ends are rounded by the closed form alone.
+        assert speed.misses(exact) < 1e-15
+    assert speed.width < 1e-7
+    assert check_proof(dict(proof.certificate)).ok

@@ -126,20 +126,17 @@ class BallSet:
         R = spread_in_frame + mapped(terms * mapped(self.C, _size) + framed * reach, _rounded)
         rounding = product(framed, [_size(one) for one in self.r])
         r = [one + _rounded(more) for one, more in zip(r, rounding, strict=True)]
+        # A polynomial motion has no remainder, but the checker rounds it.
+        smallest = arb(0, arb(2) ** (_LEAST - ctx.prec))
+        least = [smallest if k in rows and not fine else ZERO for k in range(len(r))]
         return BallSet(
             m=m,
             frame=frame,
-            r=[
-                # A polynomial motion has no remainder, but the checker rounds it.
-                arb(0, arb(2) ** (_LEAST - ctx.prec))
-                if one.is_zero() and k in rows and not fine
-                else _with_slack(one, spare[0] if k in rows else 0.0)
-                for k, one in enumerate(r)
-            ],
+            r=[_with_slack(one, spare[0] * (k in rows), least[k]) for k, one in enumerate(r)],
             C=C,
             R=matrix(
                 [
-                    [_with_slack(one, spare[1] if k in rows else 0.0) for one in row]
+                    [_with_slack(one, spare[1] * (k in rows), least[k]) for one in row]
                     for k, row in enumerate(R.table())
                 ],
                 R.ncols(),
@@ -195,10 +192,10 @@ def _rounded(size: Ball) -> Ball:
     return arb(0, size * _DOUBLES)
 
 
-def _with_slack(x: Ball, spare: float = 0.0) -> Ball:
-    """Return a slightly larger interval around zero. Only zero stays zero."""
+def _with_slack(x: Ball, spare: float = 0.0, least: Ball = ZERO) -> Ball:
+    """Return a slightly larger interval around zero. Zero becomes the least interval."""
     if x.is_zero():
-        return x
+        return least
     return scaled(symmetric(x), 1 + _SLACK) + arb(0, arb(2) ** (_LEAST - ctx.prec) + spare)
 
 
