@@ -188,7 +188,7 @@ def proof_expressions(
     one = ca.SX.sym("one")
     outputs, names, values = _without_constants(function, one * x, one * p)
     over = [symbols[name] for name in carried]
-    formulas, coordinate = _Formulas(*outputs[:9], outputs[9:]), None
+    formulas, coordinate = _Formulas._make([*outputs[:9], outputs[9:]]), None
     if len(seen.gaps) == 1:
         coordinate = _coordinate(system.n_q, x, one, formulas.gap, formulas.free, over)
     if coordinate is None:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, cast
 
 import casadi as ca
 
-from zeno_orbits.model import Problem, system_of_stop
+from zeno_orbits.model import CompletedSystem, ModeGraph, Problem, system_of_stop
 from zeno_orbits.proof.checker.balls import NotProved
 
 Row = list[int | None]
@@ -149,13 +149,8 @@ class View(NamedTuple):
     sides: tuple[bool, ...]
 
 
-def _viewed(problem: Problem, symbols: Mapping[str, ca.SX], view: View | None) -> Any:
+def _viewed(graph: ModeGraph, view: View) -> tuple[CompletedSystem, tuple[Any, ...]]:
     """Return the system of a view, and the formulas of the other stops and of the switches."""
-    if view is None:
-        return problem.one_stop_model(symbols), ()
-    graph = problem.model(symbols).graph
-    if graph is None or view.stop >= len(graph.stops) or len(view.sides) != len(graph.conditions):
-        raise NotProved("the problem has other stops or kinks than the certificate")
     if graph.has_current_layers or graph.roots:
         raise NotProved("the problem has current layers or roots at events")
     stack: Any = cast("Any", ca).vertcat
@@ -169,15 +164,37 @@ def _viewed(problem: Problem, symbols: Mapping[str, ca.SX], view: View | None) -
     return system_of_stop(graph, ((), view.sides), view.stop), further
 
 
-def formulas_of(problem: Problem, view: View | None = None) -> Formulas:
-    """Return the formulas of a problem, which is evaluated once.
+def formulas_of(problem: Problem) -> Formulas:
+    """Return the formulas of a problem with one stop, which is evaluated once.
+
+    Args:
+        problem: The problem.
+    """
+    symbols = problem.symbols()
+    return _formulas(problem.one_stop_model(symbols), (), symbols)
+
+
+def formulas_of_view(graph: ModeGraph, symbols: Mapping[str, ca.SX], view: View) -> Formulas:
+    """Return the formulas of a stop of a machine on sides of its kinks.
+
+    Args:
+        graph: The modes of the machine.
+        symbols: Gains and parameters by name.
+        view: The stop and the sides.
+    """
+    system, further = _viewed(graph, view)
+    return _formulas(system, further, symbols)
+
+
+def _formulas(
+    system: CompletedSystem, further: tuple[Any, ...], symbols: Mapping[str, ca.SX]
+) -> Formulas:
+    """Return the formulas of a system with one stop, and those of the machine.
 
     The digest belongs to CasADi's instructions. The impact law is evaluated for one impact: from
     the speed of approach and the parameters, it gives the drop of the gap rate and the gap rate
     after the impact.
     """
-    symbols = problem.symbols()
-    system, further = _viewed(problem, symbols, view)
     is_wide = further and (further[1].numel() or further[0].numel() > 1)
     parts: tuple[Any, ...] = (
         system.free_flow,

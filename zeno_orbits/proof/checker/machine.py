@@ -17,6 +17,7 @@ from zeno_orbits.proof.checker.formulas import (
     Graph,
     View,
     formulas_of,
+    formulas_of_view,
     joined_digest,
     walked,
 )
@@ -77,8 +78,8 @@ def bound_machine(
     problem: Problem,
     numbers: Mapping[str, Ball],
     over: Sequence[str],
-) -> tuple[Machine, str]:
-    """Return the systems of a certificate, and the digest of their formulas.
+) -> Machine:
+    """Return the systems of a certificate. The problem is evaluated once.
 
     Args:
         data: The certificate.
@@ -87,16 +88,19 @@ def bound_machine(
         over: Names of the parameters that vary.
 
     Raises:
+        InputError: If the certificate belongs to other formulas.
         NotProved: If a hypothesis of the theorem is not shown.
     """
     row = data["gap_row"]
     if "machine" not in data:
         formulas = formulas_of(problem)
+        _require_digest(data, problem, formulas.digest)
         _require_row(row, formulas)
         system = bound_system(formulas, numbers, over, row)
-        return Machine(ONE_STOP, {ONE_STOP: system}, 1, 0, False, (("stop",), ())), formulas.digest
+        return Machine(ONE_STOP, {ONE_STOP: system}, 1, 0, False, (("stop",), ()))
     stop, own = entries(data["machine"], "stop", "sides")
-    graph = problem.model(problem.symbols()).graph
+    symbols = problem.symbols()
+    graph = problem.model(symbols).graph
     if graph is None or type(stop) is not int or not 0 <= stop < len(graph.stops):
         raise InputError("The certificate's `machine` must have a stop of the problem.")
     n_kinks, n_stops = len(graph.conditions), len(graph.stops)
@@ -108,7 +112,8 @@ def bound_machine(
     if row is not None and n_stops > 1:
         raise InputError("The certificate's `gap_row` must be null for several stops.")
     views = [View(k, sides) for sides in sorted(used) for k in range(n_stops)]
-    formulas = {view: formulas_of(problem, view) for view in views}
+    formulas = {view: formulas_of_view(graph, symbols, view) for view in views}
+    _require_digest(data, problem, joined_digest(one.digest for one in formulas.values()))
     _require_row(row, formulas[start])
     _require_ordered({view.sides: formulas[view] for view in views if view.stop == 0})
     systems = {view: bound_system(formulas[view], numbers, over, row, view) for view in views}
@@ -117,7 +122,14 @@ def bound_machine(
     machine = Machine(start, systems, n_stops, n_switches, True, names)
     for system in systems.values():
         _require_free_resets(system)
-    return machine, joined_digest(one.digest for one in formulas.values())
+    return machine
+
+
+def _require_digest(data: Mapping[str, Any], problem: Problem, digest: str) -> None:
+    if data["digest"] != digest:
+        raise InputError(
+            f"The certificate belongs to other formulas than those of the problem `{problem.name}`."
+        )
 
 
 def _require_row(row: Any, formulas: Formulas) -> None:
