@@ -153,6 +153,11 @@ def _viewed(graph: ModeGraph, view: View) -> tuple[CompletedSystem, tuple[Any, .
     """Return the system of a view, and the formulas of the other stops and of the switches."""
     if graph.has_current_layers or graph.roots:
         raise NotProved("the problem has current layers or roots at events")
+    # Such a switch has another cause: an event of a stop that sets states anew.
+    if any(ca.SX(one.guard).is_constant() for one in graph.switches):
+        raise NotProved(
+            "the problem has a switch with a constant guard, which another event causes"
+        )
     stack: Any = cast("Any", ca).vertcat
     every = range(len(graph.switches) + len(view.sides))
     further = (

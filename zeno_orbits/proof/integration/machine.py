@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import casadi as ca
+
 from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.proof.arithmetic.balls import Ball
@@ -59,6 +61,8 @@ class BallMachine:
             reason = reason or ("the machine has no stop" if not graph.stops else "")
             if graph.has_current_layers:
                 reason = "each impact has a layer of a corrected drive"
+            if any(ca.SX(one.guard).is_constant() for one in graph.switches):
+                reason = "an event of a stop sets states anew, or a guard is constant"
             if any(one.q_after is not None or one.v_after is not None for one in graph.switches):
                 reason = "a switch resets coordinates or velocities"
             if reason:
