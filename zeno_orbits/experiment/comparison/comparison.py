@@ -264,6 +264,11 @@ def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Compariso
     if contacts is not None:
         # The gap shows contact.
         against += tuple(one.silence for one in overlay.seen.stops if one.silence)
+    if overlay.halves_differ:
+        remarks.append(
+            f"every other cycle differs by {100 * found.alternation:.2g} % of the signals: halves "
+            f"of the machine, such as legs, are unlike, or its period is doubled"
+        )
     if found.repeats < 1.0 - _STRAY:
         remarks.append(
             f"{100 * (1 - found.repeats):.2g} % of the signals' variance does not repeat"
@@ -342,7 +347,8 @@ def _channel_finding(overlay: Overlay, channels: Mapping[str, Vector]) -> Findin
         if np.any(row[np.isfinite(row)] != float(stop in table.held))
     )
     missing = ", ".join(f"`{stop}`" for stop in table.sequences if stop not in channels)
-    unseen: tuple[str, ...] = () if table.accumulates else (_NO_PHASE,)
+    known = table.accumulates or overlay.shows_exchange
+    unseen: tuple[str, ...] = () if known else (_NO_PHASE,)
     if missing:
         unseen = (f"contacts cannot be seen on {missing}: {_no_channel(table)}",)
         if not overlay.names:

@@ -36,6 +36,11 @@ RELATED = 0.2
 """Least correlation of other signals if the contacts match a Zeno orbit."""
 _ALTERNATES = 0.02
 """Cycles that differ in turn by this part of the signals' size are of twice the period."""
+_UNLIKE_HALVES = 0.5
+"""Cycles of a machine with two halves, such as legs, that differ in turn by this part at most."""
+_ONCE, _MOST_OFF = 1.5, 0.3
+"""Periods of the orbit from which a record of two halves is laid over one period, and the part of
+the orbit's period by which that of the record may differ then."""
 _SEVERAL = 0.05
 """Part of a period by which the orbit's may differ from several periods of a record."""
 _SURE = 4.0
@@ -56,6 +61,8 @@ class Overlay:
         table: The orbit, whose first signals are the shared signals.
         where: Alignment of the orbit with the recording.
         seen: Contacts of the channels of stops that the orbit strikes.
+        halves: Whether halves of the machine, such as legs, take turns.
+        coordinates: Names of the coordinates of the machine.
     """
 
     names: tuple[str, ...]
@@ -65,6 +72,8 @@ class Overlay:
     table: PeriodTable
     where: Alignment
     seen: SeenEvents
+    halves: bool = False
+    coordinates: tuple[str, ...] = ()
 
     @property
     def holds(self) -> bool:
@@ -85,9 +94,19 @@ class Overlay:
         return size > _ALTERNATES and size > _SURE * noise
 
     @property
+    def halves_differ(self) -> bool:
+        """True if every other period differs, by as much as halves of a machine may be unlike."""
+        return self.halves and self.alternates and self.found.alternation < _UNLIKE_HALVES
+
+    @property
+    def shows_exchange(self) -> bool:
+        """True if recorded coordinates jump where halves of the machine exchange their names."""
+        return self.halves and any(name in self.coordinates for name in self.names)
+
+    @property
     def may_alternate(self) -> bool:
         """True if every other period differs, or is sampled at other phases."""
-        return self.alternates and not self.found.paired
+        return self.alternates and not self.found.paired and not self.halves_differ
 
     def reasons(self, *, alike: float = _LIKE) -> list[str]:
         """Return the reasons why the recording shows no such orbit, most serious first.
@@ -125,7 +144,7 @@ class Overlay:
         """Return why the motion is one of several of the orbit's periods, if it is."""
         found = self.found
         reasons: list[str] = []
-        if self.alternates and found.paired:
+        if self.alternates and found.paired and not self.halves_differ:
             reasons.append(
                 f"every other cycle differs by {100 * found.alternation:.2g} % of the signals: the "
                 f"period is doubled, {2 * found.period:.6g} s"
@@ -166,7 +185,9 @@ def lay_over(
     time = recording.time
     values = np.array([recording.signal(name).values for name in names]).reshape(-1, len(time))
     rows = values if names else np.array(list(channels.values()))
-    found = _periodicity(time, rows, orbit.period)
+    graph = problem.graph_dynamics(orbit.values(problem)) if problem.has_graph else None
+    halves = graph is not None and graph.exchanges_coordinates
+    found = _periodicity(time, rows, orbit.period, halves=halves)
     if found is None or found.n_cycles < 1.0:
         return None
     if not orbit.has_phases:
@@ -179,19 +200,34 @@ def lay_over(
     if where is None or not math.isfinite(where.error):
         where = _by_contacts(time, seen, found, where)
     return Overlay(
-        names=names, time=time, values=values, found=found, table=table, where=where, seen=seen
+        names=names,
+        time=time,
+        values=values,
+        found=found,
+        table=table,
+        where=where,
+        seen=seen,
+        halves=halves,
+        coordinates=() if graph is None else problem.state_names[: graph.n_q],
     )
 
 
-def _periodicity(time: Vector, rows: Vector, period: float) -> Periodicity | None:
+def _periodicity(time: Vector, rows: Vector, period: float, *, halves: bool) -> Periodicity | None:
     """Return the periodicity of rows: after several of their periods if the orbit has as many.
 
     Args:
         time: Increasing times, ``(n_t,)`` [s].
         rows: Signals or channels, one row each.
         period: Period of the orbit [s].
+        halves: Whether halves of the machine take turns. The orbit of equal halves may repeat after
+            one turn, while the record repeats after all of them.
     """
     found = periodicity(time, rows)
+    if halves and (found is None or found.period > _ONCE * period):
+        once = periodicity(time, rows, near=period)
+        if once is not None and once.repeats > _REPEATS:
+            near = abs(once.period / period - 1.0) < _MOST_OFF
+            return once if near and once.alternation < _UNLIKE_HALVES else found
     turns = 1 if found is None else round(period / found.period)
     if found is None or turns < 2 or abs(period / found.period / turns - 1.0) > _SEVERAL:
         return found

@@ -327,6 +327,19 @@ class GraphDynamics:
         return self.compiled.n_q
 
     @property
+    def exchanges_coordinates(self) -> bool:
+        """True if a switch mixes coordinates, as legs that change names at a step do."""
+        graph, q = self.compiled.graph, slice(0, self.n_q)
+        coordinates = graph.state[q]
+        return any(
+            row != column
+            for one in graph.resets
+            for row, column in zip(
+                *ca.jacobian(one[q], coordinates).sparsity().get_triplet(), strict=True
+            )
+        )
+
+    @property
     def has_one_guard(self) -> bool:
         """True if a motion has one guard at a time: no switch or kink, and at most one stop."""
         return self.n_watched + len(self.switch_names) == 1
