@@ -50,20 +50,49 @@ SETTINGS = SimulationSettings(
 """Accuracy and limits of the simulations of a fit. A trial that chatters for ever is abandoned."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class StatesAt:
     """States of a motion at given times.
 
     Attributes:
-        states: ``(n, n_x)``.
-        rates: Their time derivatives, ``(n, n_x)``.
-        by: Derivatives with respect to the initial state, then the chosen parameters,
-            ``(n, n_x, m)``.
+        motion: The motion.
+        times: Increasing times, ``(n,)`` [s].
     """
 
-    states: Vector
-    rates: Vector
-    by: Vector
+    motion: TransientMotion
+    times: Vector
+
+    @cached_property
+    def states(self) -> Vector:
+        """The states, ``(n, n_x)``. Before time 0 the machine waits at its start."""
+        arcs = self.motion.execution.arcs
+        found = np.tile(arcs[0].start_state, (len(self.times), 1))
+        for k, rows in self.motion.samples(self.times):
+            found[rows] = arcs[k].states_at(self.times[rows])
+        return found
+
+    @cached_property
+    def rates(self) -> Vector:
+        """Time derivatives of the states, ``(n, n_x)``."""
+        found, graph = np.zeros_like(self.states), self.motion.graph
+        for k, rows in self.motion.samples(self.times):
+            flow = graph.flow(self.motion.execution.arcs[k].mode_in(graph))
+            found[rows] = flow.rates(self.states[rows])
+        return found
+
+    @cached_property
+    def by(self) -> Vector:
+        """Derivatives by the initial state, then the chosen parameters, ``(n, n_x, m)``.
+
+        Raises:
+            SimulationError: If an event has no derivative.
+        """
+        found = np.tile(
+            np.eye(self.states.shape[1], self.motion.n_columns), (len(self.times), 1, 1)
+        )
+        for k, rows in self.motion.samples(self.times):
+            found[rows] = self.motion.sensitivities(k, self.times[rows])
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,27 +131,24 @@ class TransientMotion:
         return tuple(self._derivatives.passages(self.execution))
 
     def at(self, times: Vector) -> StatesAt:
-        """Return states and derivatives at times. Before time 0 the machine waits at its start.
+        """Return states and derivatives at times, which are computed when they are asked for.
 
         Args:
+            times: Increasing times, ``(n,)`` [s].
+        """
+        return StatesAt(motion=self, times=times)
+
+    def sensitivities(self, k: int, times: Vector) -> Vector:
+        """Return the derivatives of the states at times inside an arc, ``(n, n_x, m)``.
+
+        Args:
+            k: Index of the arc.
             times: Increasing times, ``(n,)`` [s].
 
         Raises:
             SimulationError: If an event has no derivative.
         """
-        arcs = self.execution.arcs
-        n, n_x, m = len(times), len(arcs[0].start_state), self._n_columns
-        found = StatesAt(
-            states=np.tile(arcs[0].start_state, (n, 1)),
-            rates=np.zeros((n, n_x)),
-            by=np.tile(np.eye(n_x, m), (n, 1, 1)),
-        )
-        for k, rows in self._samples(times):
-            arc, inside = arcs[k], times[rows]
-            found.states[rows] = arc.states_at(inside)
-            found.rates[rows] = self.graph.flow(arc.mode_in(self.graph)).rates(found.states[rows])
-            found.by[rows] = _between(self._derivatives, self._passages[k], inside)
-        return found
+        return _between(self._derivatives, self._passages[k], times)
 
     def events(self, kind: EventKind, stop: str) -> MotionTimes:
         """Return the events of a kind at a stop, impacts up to the resolved ones.
@@ -139,7 +165,7 @@ class TransientMotion:
         ]
         return MotionTimes(
             times=np.array([time for time, _ in found]),
-            by=np.array([row for _, row in found]).reshape(len(found), self._n_columns),
+            by=np.array([row for _, row in found]).reshape(len(found), self.n_columns),
         )
 
     def zeno_times(self, stop: str) -> Vector:
@@ -158,7 +184,7 @@ class TransientMotion:
         """
         passages, first = self._deviated(impact)
         found = np.zeros((len(times), len(impact.state_plus)))
-        for k, rows in self._samples(times):
+        for k, rows in self.samples(times):
             if k >= first:
                 own = _between(self._of_states, passages[k - first], times[rows])
                 found[rows] = own[:, :, 0]
@@ -207,10 +233,11 @@ class TransientMotion:
         return list(passages), first
 
     @property
-    def _n_columns(self) -> int:
+    def n_columns(self) -> int:
+        """Number of columns of the derivatives."""
         return len(self.graph.state_names) + len(self.chosen)
 
-    def _samples(self, times: Vector) -> list[tuple[int, slice]]:
+    def samples(self, times: Vector) -> list[tuple[int, slice]]:
         """Return the arcs that hold some of the times, each with the range of these times."""
         arcs = self.execution.arcs
         starts = np.array([arc.start_time for arc in arcs])

@@ -8,8 +8,9 @@ and the event times after whitening by their covariance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,35 +20,19 @@ from zeno_orbits.experiment.identification.instruments import Instruments
 from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.transients.event_labels import sequences_of
 from zeno_orbits.experiment.transients.event_record import EventSeries
-from zeno_orbits.experiment.transients.motion import MotionTimes, TransientMotion, moved
-from zeno_orbits.experiment.transients.trial import OFFSET, TrialData
+from zeno_orbits.experiment.transients.motion import (
+    MotionTimes,
+    StatesAt,
+    TransientMotion,
+    moved,
+)
+from zeno_orbits.experiment.transients.trial import OFFSET, FreeStart, TrialData
 from zeno_orbits.model import GraphDynamics, Problem
 from zeno_orbits.simulation import EventKind, Impact
 
 _PAST = 0.25
 """Part of a trial that the simulation of event times goes on beyond it."""
 _CLOCK_SLACK = 1e-9
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Prediction:
-    """The prediction of one trial at given unknowns.
-
-    Attributes:
-        motion: The simulated motion.
-        signals: Predicted channels at the samples up to a horizon, ``(n, n_s)``.
-        by_signals: Their derivatives with respect to the unknowns, ``(n, n_s, n_z)``.
-        events: Predicted event times since the origin, ``(n_e,)`` [s].
-        by_events: Their derivatives, ``(n_e, n_z)``.
-        offset: Time offset of the simulation [s].
-    """
-
-    motion: TransientMotion
-    signals: Vector
-    by_signals: Vector
-    events: Vector
-    by_events: Vector
-    offset: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -169,23 +154,20 @@ class Shooting:
         motion = moved(graph, x, max(end, 0.0) * (1 + _CLOCK_SLACK) + 1e-12, self.unknowns.places)
         if motion is None:
             return None
-        signals, by_signals = self._signals(trial, z, motion, horizon, offset)
-        events, by_events = self._events(trial, z, motion, offset)
-        if not (np.isfinite(by_signals).all() and np.isfinite(by_events).all()):
-            return None
-        return Prediction(
-            motion=motion,
-            signals=signals,
-            by_signals=by_signals,
-            events=events,
-            by_events=by_events,
-            offset=offset,
+        found = Prediction(
+            shooting=self, trial=trial, z=z, horizon=horizon, motion=motion, offset=offset
         )
+        return found if np.isfinite(found.signals).all() else None
 
     def _instruments(self, trial: TrialData) -> Instruments:
         return self.unknowns.instruments(trial.measured.names)
 
-    def _by_unknowns(self, trial: int, z: Vector, by: Vector) -> Vector:
+    def free_columns(self, trial: int) -> Iterator[tuple[int, FreeStart]]:
+        """Yield the free initial values of a trial with their indices among the unknowns."""
+        columns = self.columns(trial)
+        yield from enumerate(self.trials[trial].free, start=columns.start)
+
+    def by_unknowns(self, trial: int, z: Vector, by: Vector) -> Vector:
         """Return derivatives with respect to the unknowns, ``(..., n_z)``.
 
         Args:
@@ -193,95 +175,174 @@ class Shooting:
             z: Unknowns.
             by: Derivatives with respect to the initial state, then the parameters, ``(..., m)``.
         """
-        n_x, own = len(self.graph.state_names), self.trials[trial]
+        n_x = len(self.graph.state_names)
         found = np.zeros((*by.shape[:-1], self.n_z))
         ties = self.unknowns.ties * self.slopes(z)
         found[..., : self.n_shared] = by[..., n_x:] @ ties
-        for k, one in zip(range(*self.columns(trial).indices(self.n_z)), own.free, strict=True):
-            found[..., k] = by[..., :n_x] @ (one.direction * one.scale)
+        for column, one in self.free_columns(trial):
+            found[..., column] = by[..., :n_x] @ (one.direction * one.scale)
         return found
 
-    def _signals(
-        self, trial: int, z: Vector, motion: TransientMotion, horizon: float, offset: float
-    ) -> tuple[Vector, Vector]:
-        """Return the predicted channels at the samples up to a horizon, and their derivatives."""
-        own, values, n_x = self.trials[trial], self.values(z), len(self.graph.state_names)
-        n = int(np.searchsorted(own.time, horizon, side="right"))
-        if not n:
-            shape = (0, own.values.shape[1])
-            return np.zeros(shape), np.zeros((*shape, self.n_z))
-        instruments, p = self._instruments(own), self.parameters(z)
-        stretch = instruments.stretch(values)
-        times = own.time[:n] / stretch - offset
-        at = motion.at(times)
-        channels = own.measured.values(at.states, p)
-        slopes = own.measured.derivatives(at.states, p)
-        by = slopes[:, :, :n_x] @ at.by
-        by[:, :, n_x:] += slopes[:, :, n_x:][:, :, list(self.unknowns.places)]
-        by_z = self._by_unknowns(trial, z, by)
-        rates = np.einsum("nsx,nx->ns", slopes[:, :, :n_x], at.rates)
-        for k, one in zip(range(*self.columns(trial).indices(self.n_z)), own.free, strict=True):
-            if one.name == OFFSET:
-                by_z[:, :, k] = -rates * one.scale
-        scale = self.slopes(z)
-        late = (own.time[:n] / stretch**2)[:, None, None] * instruments.rate
-        by_z[:, :, : self.n_shared] -= rates[:, :, None] * late * scale
-        by_z *= instruments.gain(values)[None, :, None]
-        by_z[:, :, : self.n_shared] += instruments.by_numbers(channels) * scale
-        return instruments.read(channels, values), by_z
-
-    def _events(
-        self, trial: int, z: Vector, motion: TransientMotion, offset: float
-    ) -> tuple[Vector, Vector]:
-        """Return the predicted event times of a trial and their derivatives."""
-        own = self.trials[trial]
-        times, rows = [np.zeros(0)], [np.zeros((0, self.n_z))]
-        stretch = self._instruments(own).stretch(self.values(z))
-        for series in own.series:
-            model = motion.events(series.kind, series.stop)
-            found = matched(series, model)
-            own_times, by = placed(found, model, motion.execution.end_time)
-            by_z = self._by_unknowns(trial, z, by) * stretch
-            for k, one in zip(range(*self.columns(trial).indices(self.n_z)), own.free, strict=True):
-                if one.name == OFFSET:
-                    by_z[:, k] = one.scale * stretch
-            moved_by = (own_times + offset)[:, None] * self._instruments(own).rate * self.slopes(z)
-            by_z[:, : self.n_shared] += moved_by
-            times.append((own_times + offset) * stretch)
-            rows.append(by_z)
-        return np.concatenate(times), np.concatenate(rows)
-
-    def residuals(self, z: Vector, stage: int | None = None) -> tuple[Vector, Vector] | None:
-        """Return residuals and their derivatives, or ``None`` if a trial cannot be simulated.
+    def predictions(self, z: Vector, stage: int | None = None) -> list[Prediction] | None:
+        """Return the predictions of all trials, or ``None`` if one cannot be simulated.
 
         Args:
             z: Unknowns, ``(n_z,)``.
             stage: Index of the horizon of each trial, the whole trial by default.
         """
-        rests, rows = list[Vector](), list[Vector]()
+        found: list[Prediction] = []
         for k, trial in enumerate(self.trials):
             last = len(trial.horizons) - 1
             horizon = trial.horizons[last if stage is None else min(stage, last)]
-            found = self.predicted(k, z, horizon)
-            if found is None:
+            one = self.predicted(k, z, horizon)
+            if one is None:
                 return None
+            found.append(one)
+        return found
+
+    def rests(self, predictions: Sequence[Prediction]) -> Vector:
+        """Return the residuals of predictions of all trials, ``(n_r,)``."""
+        rests = list[Vector]()
+        for k, (trial, found) in enumerate(zip(self.trials, predictions, strict=True)):
             n = len(found.signals)
-            seen = trial.seen[:n]
             rest = (found.signals - trial.values[:n]) / trial.noise
-            by = found.by_signals / trial.noise[:, None]
-            rests.append(rest[seen])
-            rows.append(by[seen])
+            rests.append(rest[trial.seen[:n]])
             if trial.n_events:
-                due = event_times(trial) <= horizon
+                due = event_times(trial) <= found.horizon
                 white = self.whitening[k][np.ix_(due, due)]
                 rests.append(white @ (found.events - event_times(trial))[due])
-                rows.append(white @ found.by_events[due])
-        return np.concatenate(rests), np.concatenate(rows)
+        return np.concatenate(rests)
+
+    def rows(self, predictions: Sequence[Prediction]) -> Vector:
+        """Return the derivatives of the residuals, ``(n_r, n_z)``.
+
+        Raises:
+            SimulationError: If an event has no derivative.
+        """
+        rows = list[Vector]()
+        for k, (trial, found) in enumerate(zip(self.trials, predictions, strict=True)):
+            n = len(found.signals)
+            rows.append((found.by_signals / trial.noise[:, None])[trial.seen[:n]])
+            if trial.n_events:
+                due = event_times(trial) <= found.horizon
+                rows.append(self.whitening[k][np.ix_(due, due)] @ found.by_events[due])
+        return np.concatenate(rows)
 
     def reweighted(self, noise: Sequence[Vector], whitening: Sequence[Vector]) -> Shooting:
         """Return the problem with other errors of samples and events."""
         trials = tuple(replace(one, noise=own) for one, own in zip(self.trials, noise, strict=True))
         return replace(self, trials=trials, whitening=tuple(whitening))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prediction:
+    """The prediction of one trial at given unknowns.
+
+    Derivatives cost several times as much as the motion, so they are computed when they are asked
+    for. A step of a fit that is taken back needs none.
+
+    Attributes:
+        shooting: The trials.
+        trial: Index of the trial.
+        z: Unknowns, ``(n_z,)``.
+        horizon: Last time that counts [s].
+        motion: The simulated motion.
+        offset: Time offset of the simulation [s].
+    """
+
+    shooting: Shooting
+    trial: int
+    z: Vector
+    horizon: float
+    motion: TransientMotion
+    offset: float
+
+    @cached_property
+    def _own(self) -> TrialData:
+        return self.shooting.trials[self.trial]
+
+    @cached_property
+    def _instruments(self) -> Instruments:
+        return self.shooting.unknowns.instruments(self._own.measured.names)
+
+    @cached_property
+    def _stretch(self) -> float:
+        return self._instruments.stretch(self.shooting.values(self.z))
+
+    @cached_property
+    def _times(self) -> Vector:
+        n = int(np.searchsorted(self._own.time, self.horizon, side="right"))
+        return self._own.time[:n]
+
+    @cached_property
+    def _at(self) -> StatesAt:
+        return self.motion.at(self._times / self._stretch - self.offset)
+
+    @cached_property
+    def _channels(self) -> Vector:
+        return self._own.measured.values(self._at.states, self.shooting.parameters(self.z))
+
+    @cached_property
+    def signals(self) -> Vector:
+        """Predicted channels at the samples up to the horizon, ``(n, n_s)``."""
+        if not len(self._times):
+            return np.zeros((0, self._own.values.shape[1]))
+        return self._instruments.read(self._channels, self.shooting.values(self.z))
+
+    @cached_property
+    def by_signals(self) -> Vector:
+        """Their derivatives with respect to the unknowns, ``(n, n_s, n_z)``.
+
+        Raises:
+            SimulationError: If an event has no derivative.
+        """
+        shooting, own, z = self.shooting, self._own, self.z
+        if not len(self._times):
+            return np.zeros((0, own.values.shape[1], shooting.n_z))
+        n_x, k = len(shooting.graph.state_names), shooting.n_shared
+        instruments, values = self._instruments, shooting.values(z)
+        slopes = own.measured.derivatives(self._at.states, shooting.parameters(z))
+        by = slopes[:, :, :n_x] @ self._at.by
+        by[:, :, n_x:] += slopes[:, :, n_x:][:, :, list(shooting.unknowns.places)]
+        by_z = shooting.by_unknowns(self.trial, z, by)
+        rates = np.einsum("nsx,nx->ns", slopes[:, :, :n_x], self._at.rates)
+        for column, one in shooting.free_columns(self.trial):
+            if one.name == OFFSET:
+                by_z[:, :, column] = -rates * one.scale
+        scale = shooting.slopes(z)
+        late = (self._times / self._stretch**2)[:, None, None] * instruments.rate
+        by_z[:, :, :k] -= rates[:, :, None] * late * scale
+        by_z *= instruments.gain(values)[None, :, None]
+        by_z[:, :, :k] += instruments.by_numbers(self._channels) * scale
+        return by_z
+
+    @cached_property
+    def _events(self) -> tuple[Vector, Vector]:
+        shooting, own, z, stretch = self.shooting, self._own, self.z, self._stretch
+        times, rows = [np.zeros(0)], [np.zeros((0, shooting.n_z))]
+        for series in own.series:
+            model = self.motion.events(series.kind, series.stop)
+            found = matched(series, model)
+            own_times, by = placed(found, model, self.motion.execution.end_time)
+            by_z = shooting.by_unknowns(self.trial, z, by) * stretch
+            for column, one in shooting.free_columns(self.trial):
+                if one.name == OFFSET:
+                    by_z[:, column] = one.scale * stretch
+            late = (own_times + self.offset)[:, None]
+            by_z[:, : shooting.n_shared] += late * self._instruments.rate * shooting.slopes(z)
+            times.append((own_times + self.offset) * stretch)
+            rows.append(by_z)
+        return np.concatenate(times), np.concatenate(rows)
+
+    @property
+    def events(self) -> Vector:
+        """Predicted event times since the origin, ``(n_e,)`` [s]."""
+        return self._events[0]
+
+    @property
+    def by_events(self) -> Vector:
+        """Their derivatives, ``(n_e, n_z)``."""
+        return self._events[1]
 
 
 def event_times(trial: TrialData) -> Vector:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.transients.shooting import Shooting
+from zeno_orbits.experiment.transients.shooting import Prediction, Shooting
 from zeno_orbits.work import Progress
 
 _PRIOR = 0.7
@@ -27,8 +27,12 @@ _QUIET = 1.3
 _SAME = 1e-3
 """Relative difference of sums of squares of starts that agree, next to 3.84 noise units."""
 _DIFFERENCE = 3.84
+_SAME_PLACE = 1.0
+"""Squared standard errors between two ends of one optimum."""
 _FAILED = 1e4
 """Residual of a trial that cannot be simulated."""
+_CLOSE, _ROUGH = 1e-9, 1e-4
+"""Relative change of the unknowns or the sum of squares at the end of a fit, and on the way."""
 _INSIDE, _EDGE = 1e-9, 1e-6
 _NOTHING = 1e-2
 """Squared standard errors of a step that is negligible."""
@@ -46,7 +50,8 @@ class StagedFit:
         agreed: Number of starts that led to this optimum.
         starts: Number of starts.
         others: Unknowns of other optima that fit as well.
-        found: Unknowns that all starts led to.
+        found: Unknowns of the different optima that the starts led to, the best first.
+        shares: Number of starts that led to each of them.
     """
 
     z: Vector
@@ -57,6 +62,7 @@ class StagedFit:
     starts: int = 1
     others: tuple[Vector, ...] = ()
     found: tuple[Vector, ...] = ()
+    shares: tuple[int, ...] = ()
 
     @property
     def cost(self) -> float:
@@ -65,38 +71,42 @@ class StagedFit:
 
 
 class _Evaluated:
-    """Residuals and derivatives of one simulation, kept until the unknowns change."""
+    """Residuals of one simulation and their derivatives, kept until the unknowns change."""
 
     def __init__(self, shooting: Shooting, stage: int | None, prior: Vector | None) -> None:
         self._shooting, self._stage, self._prior = shooting, stage, prior
         self._at: Vector | None = None
-        self._found: tuple[Vector, Vector] | None = None
-        self._shape: tuple[int, int] | None = None
+        self._found: list[Prediction] | None = None
+        self._rest: Vector = np.zeros(0)
 
-    def _of(self, z: Vector) -> tuple[Vector, Vector]:
-        if self._at is None or self._found is None or not np.array_equal(self._at, z):
-            self._at, self._found = z.copy(), self._evaluated(z)
-        return self._found
-
-    def _evaluated(self, z: Vector) -> tuple[Vector, Vector]:
-        found = self._shooting.residuals(z, self._stage)
-        if found is None:
-            if self._shape is None:
+    def _move(self, z: Vector) -> None:
+        if self._at is not None and np.array_equal(self._at, z):
+            return
+        self._at, self._found = z.copy(), self._shooting.predictions(z, self._stage)
+        if self._found is None:
+            if not len(self._rest):
                 raise LostStartError
-            return np.full(self._shape[0], _FAILED), np.zeros(self._shape)
-        rest, rows = found
+            self._rest = np.full(len(self._rest), _FAILED)
+            return
+        self._rest = self._shooting.rests(self._found)
         if self._prior is not None:
-            k = self._shooting.n_shared
-            rest = np.concatenate([rest, (z[:k] - self._prior) / _PRIOR])
-            rows = np.concatenate([rows, np.eye(k, len(z)) / _PRIOR])
-        self._shape = rows.shape
-        return rest, rows
+            own = (z[: self._shooting.n_shared] - self._prior) / _PRIOR
+            self._rest = np.concatenate([self._rest, own])
 
     def rest(self, z: Vector) -> Vector:
-        return self._of(z)[0]
+        self._move(z)
+        return self._rest
 
     def rows(self, z: Vector) -> Vector:
-        return self._of(z)[1]
+        self._move(z)
+        if self._found is None:
+            return np.zeros((len(self._rest), len(z)))
+        rows = self._shooting.rows(self._found)
+        if not np.isfinite(rows).all():
+            raise LostStartError
+        if self._prior is None:
+            return rows
+        return np.concatenate([rows, np.eye(self._shooting.n_shared, len(z)) / _PRIOR])
 
 
 class LostStartError(Exception):
@@ -144,8 +154,8 @@ def fitted(
         bounds=(low[free], high[free]),
         x_scale="jac",
         max_nfev=steps,
-        xtol=1e-9,
-        ftol=1e-9,
+        xtol=_CLOSE if prior is None else _ROUGH,
+        ftol=_CLOSE if prior is None else _ROUGH,
         gtol=1e-12,
     )
     z = whole(np.asarray(found.x, dtype=np.float64))
@@ -221,7 +231,7 @@ def best_fit(shooting: Shooting, z: Vector, on_progress: Progress) -> StagedFit 
             break
     if not found:
         return None
-    return _best_of(found, shooting, tried)
+    return _best_of(found, [1] * len(found), shooting, tried)
 
 
 def _is_noise(shooting: Shooting, best: StagedFit) -> bool:
@@ -231,18 +241,43 @@ def _is_noise(shooting: Shooting, best: StagedFit) -> bool:
     return only_samples and freedom > 0 and best.cost < _QUIET * freedom
 
 
-def _best_of(found: Sequence[StagedFit], shooting: Shooting, tried: int) -> StagedFit:
-    """Return the best of some optima, with the number of those that agree and the others."""
+def _best_of(
+    found: Sequence[StagedFit], shares: Sequence[int], shooting: Shooting, tried: int
+) -> StagedFit:
+    """Return the best of some optima, with the number of starts that agree and the others."""
     best = min(found, key=lambda one: one.cost)
-    alike = [one for one in found if _as_good(one, best)]
-    others = tuple(one.z for one in alike if _apart(one, best, shooting.n_shared))
+    alike = [(one, share) for one, share in zip(found, shares, strict=True) if _as_good(one, best)]
+    others = tuple(one.z for one, _ in alike if _apart(one, best, shooting.n_shared))
+    kept = _merged(found, shares)
     return replace(
         best,
-        agreed=len(alike) - len(others),
+        agreed=sum(share for one, share in alike if not _apart(one, best, shooting.n_shared)),
         starts=tried,
         others=others,
-        found=tuple(one.z for one in found),
+        found=tuple(one.z for one, _ in kept),
+        shares=tuple(share for _, share in kept),
     )
+
+
+def _merged(found: Sequence[StagedFit], shares: Sequence[int]) -> list[tuple[StagedFit, int]]:
+    """Return the different optima, the best first, with the number of starts of each."""
+    kept: list[tuple[StagedFit, int]] = []
+    for one, share in sorted(zip(found, shares, strict=True), key=lambda one: one[0].cost):
+        same = next(
+            (k for k, (other, _) in enumerate(kept) if _distance(one, other) <= _SAME_PLACE), None
+        )
+        if same is None:
+            kept.append((one, share))
+        else:
+            kept[same] = kept[same][0], kept[same][1] + share
+    return kept
+
+
+def _distance(one: StagedFit, other: StagedFit) -> float:
+    """Return the squared distance of two optima in standard errors of the residuals."""
+    off = other.jacobian @ (one.z - other.z)
+    scale = other.cost / max(len(other.rest) - len(other.z), 1)
+    return float(off @ off) / max(scale, 1e-300)
 
 
 def refitted(shooting: Shooting, found: StagedFit) -> StagedFit:
@@ -252,13 +287,14 @@ def refitted(shooting: Shooting, found: StagedFit) -> StagedFit:
         shooting: The trials with the other weights or masks.
         found: The fit with the former ones.
     """
-    again: list[StagedFit] = []
-    for z in found.found:
+    again, shares = list[StagedFit](), list[int]()
+    for z, share in zip(found.found, found.shares, strict=True):
         try:
             again.append(fitted(shooting, z))
         except LostStartError:
             continue
-    return _best_of(again, shooting, found.starts) if again else found
+        shares.append(share)
+    return _best_of(again, shares, shooting, found.starts) if again else found
 
 
 def _as_good(one: StagedFit, best: StagedFit) -> bool:

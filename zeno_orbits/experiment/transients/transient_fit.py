@@ -32,6 +32,7 @@ from zeno_orbits.experiment.transients.motion import SETTINGS, TransientMotion
 from zeno_orbits.experiment.transients.residual_tests import ResidualTests, tested
 from zeno_orbits.experiment.transients.shooting import Shooting, event_times, matched
 from zeno_orbits.experiment.transients.staged_fit import (
+    LostStartError,
     StagedFit,
     best_fit,
     fitted,
@@ -393,6 +394,9 @@ def _masked(shooting: Shooting, found: StagedFit) -> tuple[Shooting, StagedFit]:
                 own = [one for one in at.motion.execution.impacts if one.stop == stop]
                 trial = trial.without(np.array([one.time for one in own]) + at.offset)
             trials.append(trial)
+        pairs = zip(trials, shooting.trials, strict=True)
+        if all(np.array_equal(one.seen, former.seen) for one, former in pairs):
+            break
         shooting = replace(shooting, trials=tuple(trials))
         found = refitted(shooting, found)
     return shooting, found
@@ -415,8 +419,12 @@ def _reweighted(
         even = len(flat) == 0 or np.max(flat) < _OTHER_WEIGHT * np.min(flat)
         if even and not has_events:
             return shooting, found, None
-        shooting = shooting.reweighted(own, whitening)
-        again = fitted(shooting, found.z)
+        other = shooting.reweighted(own, whitening)
+        try:
+            again = fitted(other, found.z)
+        except LostStartError:
+            break
+        shooting = other
         found = replace(again, agreed=found.agreed, starts=found.starts, others=found.others)
     return shooting, found, events
 
