@@ -21,10 +21,15 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.experiment.transients.motion import TransientMotion
 from zeno_orbits.experiment.transients.shooting import Shooting, event_times, matched
+from zeno_orbits.experiment.transients.staged_fit import StagedFit
 from zeno_orbits.simulation import Impact
 
-_LEAST = 4
-"""Events more than unknowns from which both variances are estimated."""
+_LEAST, _LEAST_KNOWN = 4, 1
+"""Events more than unknowns from which both variances are estimated, or the scatter alone."""
+_USUAL, _SPREAD = math.log(0.03), 1.2
+"""Logarithm of the scatter of real impacts, 1 to 10 %, and its spread."""
+_HELD = 1e-3
+"""Width of the range of the logarithm of a known jitter."""
 _ROUNDS = 3
 
 
@@ -45,12 +50,16 @@ class EventNoise:
     longest: float
 
 
-def event_noise(shooting: Shooting, z: Vector) -> tuple[EventNoise, tuple[Vector, ...]] | None:
+def event_noise(
+    shooting: Shooting, z: Vector, fixed: float | None = None
+) -> tuple[EventNoise, tuple[Vector, ...]] | None:
     """Return the noise of event times and the matrices that whiten them for each trial.
 
     Args:
         shooting: The trials.
         z: Unknowns at an optimum.
+        fixed: Jitter that few events are given [s], so that the scatter alone is estimated. It is
+            given if other tests show that impacts differ.
 
     Returns:
         The noise, or ``None`` if a trial cannot be simulated.
@@ -62,15 +71,46 @@ def event_noise(shooting: Shooting, z: Vector) -> tuple[EventNoise, tuple[Vector
     rest = np.concatenate([one[0] for one in known])
     rows = np.concatenate([one[1] for one in known])
     blocks = [one[2] for one in known]
+    beside = _samples(shooting, z)
+    if beside is None:
+        return None
     floor = min((max(one.error, 0.0) for t in shooting.trials for one in t.series), default=0.0)
-    used = rows[:, np.any(rows != 0.0, axis=0)]
-    rank = int(np.linalg.matrix_rank(used / np.linalg.norm(used, axis=0))) if used.size else 0
-    if len(rest) - rank < _LEAST:
+    every = np.concatenate([rows, beside[1]])
+    moved = np.any(rows != 0.0, axis=0)
+    free = _rank(every[:, moved]) - _rank(beside[1][:, moved])
+    known = fixed is not None and len(rest) - free >= _LEAST_KNOWN
+    if len(rest) - free < _LEAST and not known:
         jitter = max(floor, 2e-3 * _longest(shooting))
         noise = EventNoise(jitter=jitter, scatter=0.0, estimated=False, longest=_longest(shooting))
     else:
-        noise = replace(_likely(rest, used, blocks, floor), longest=_longest(shooting))
+        jitter = fixed if known and len(rest) - free < _LEAST else None
+        likely = _likely(
+            (rest, beside[0]), every[:, moved], blocks, floor, jitter, scatters=fixed is not None
+        )
+        noise = replace(likely, longest=_longest(shooting))
     return noise, tuple(_whitening(noise, block) for block in blocks)
+
+
+def _rank(rows: Vector) -> int:
+    size = np.linalg.norm(rows, axis=0)
+    used = rows[:, size > 0.0] / size[size > 0.0]
+    return int(np.linalg.matrix_rank(used)) if used.size else 0
+
+
+def _samples(shooting: Shooting, z: Vector) -> tuple[Vector, Vector] | None:
+    """Return what the samples say of the unknowns: few rows with the same normal equations.
+
+    They are in units of the noise: residuals, ``(n,)``, and derivatives, ``(n, n_z)``.
+    """
+    rests, rows = [np.zeros(0)], [np.zeros((0, len(z)))]
+    for k, trial in enumerate(shooting.trials):
+        found = shooting.predicted(k, z, math.inf)
+        if found is None:
+            return None
+        rests.append(((trial.values - found.signals) / trial.noise)[trial.seen])
+        rows.append((found.by_signals / trial.noise[:, None])[trial.seen])
+    basis, few = np.linalg.qr(np.concatenate(rows))
+    return basis.T @ np.concatenate(rests), few
 
 
 def _longest(shooting: Shooting) -> float:
@@ -81,6 +121,43 @@ def _longest(shooting: Shooting) -> float:
         if len(one.times) > 1
     ]
     return max(steps, default=1.0)
+
+
+def scatter_freedom(shooting: Shooting, fit: StagedFit, noise: EventNoise) -> Vector:
+    r"""Return the degrees of freedom of the errors of the unknowns, ``(n_z,)``.
+
+    The scatter is estimated from few impacts, and the noise of samples from many. With the part `a`
+    of a variance that the scatter makes, and :math:`m = \sum q / (1 + q)` impacts whose deviations
+    are seen above the jitter, Satterthwaite's approximation is
+    :math:`1 / f = a^2 / (m - 1) + (1 - a)^2 / f_0`.
+
+    Args:
+        shooting: The trials with event times.
+        fit: The optimum.
+        noise: The noise of the event times.
+    """
+    size = np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-150)
+    scaled = fit.jacobian / size
+    covariance: Vector = np.asarray(
+        np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True), dtype=np.float64
+    )
+    estimator: Vector = covariance @ scaled.T
+    part, seen, at = np.zeros(len(fit.z)), 0.0, 0
+    for k, trial in enumerate(shooting.trials):
+        linear = _linear(shooting, fit.z, k)
+        at += int(trial.seen.sum())
+        if linear is None or not trial.n_events:
+            continue
+        own = slice(at, at + trial.n_events)
+        at = own.stop
+        moved = noise.scatter * shooting.whitening[k] @ linear[2]
+        part += np.sum((estimator[:, own] @ moved) ** 2, axis=1)
+        sizes = np.asarray(np.linalg.svd(linear[2], compute_uv=False), dtype=np.float64)
+        strength: Vector = (noise.scatter / noise.jitter * sizes) ** 2
+        seen += float(np.sum(strength / (1.0 + strength)))
+    share = np.clip(part / np.maximum(np.diag(covariance), 1e-300), 0.0, 1.0)
+    rest = max(len(fit.rest) - len(fit.z), 1)
+    return 1.0 / (share**2 / max(seen - 1.0, 1.0) + (1.0 - share) ** 2 / rest)
 
 
 def _linear(shooting: Shooting, z: Vector, k: int) -> tuple[Vector, Vector, Vector] | None:
@@ -125,11 +202,29 @@ def _column(
     return ratio * np.concatenate(parts)
 
 
-def _likely(rest: Vector, rows: Vector, blocks: list[Vector], floor: float) -> EventNoise:
-    """Return the noise of the greatest restricted likelihood."""
+def _likely(
+    rests: tuple[Vector, Vector],
+    rows: Vector,
+    blocks: list[Vector],
+    floor: float,
+    fixed: float | None,
+    *,
+    scatters: bool,
+) -> EventNoise:
+    """Return the noise of the greatest restricted likelihood.
+
+    Args:
+        rests: Residuals of the event times [s], and of the samples in units of their noise.
+        rows: Derivatives of both.
+        blocks: Derivatives of the event times of each trial by single restitutions.
+        floor: Least jitter [s].
+        fixed: Known jitter [s], or ``None`` to estimate it.
+        scatters: Whether other tests show that impacts differ.
+    """
     from scipy.optimize import minimize
 
-    size = max(math.sqrt(float(rest @ rest) / len(rest)), floor, 1e-9)
+    rest, n = np.concatenate(rests), len(rests[0])
+    size = max(math.sqrt(float(rests[0] @ rests[0]) / n), floor, 1e-9)
     scaled = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
     basis = basis[:, sizes > 1e-9 * sizes[0]] if len(sizes) else basis
@@ -137,24 +232,27 @@ def _likely(rest: Vector, rows: Vector, blocks: list[Vector], floor: float) -> E
 
     def negative(x: Vector) -> float:
         jitter, scatter = math.exp(x[0]), math.exp(x[1])
-        total = 0.0
-        white_rest, white_rows = np.empty_like(rest), np.empty_like(basis)
+        # Few impacts may agree by chance, though others differ.
+        total = ((x[1] - _USUAL) / _SPREAD) ** 2 if scatters else 0.0
+        white_rest, white_rows = rest.copy(), basis.copy()
         at = 0
         for block in blocks:
-            n = len(block)
-            if not n:
+            own = slice(at, at + len(block))
+            if not len(block):
                 continue
             root = _root(jitter, scatter, block)
             total += 2.0 * float(np.sum(np.log(np.diag(root))))
-            white_rest[at : at + n] = np.linalg.solve(root, rest[at : at + n])
-            white_rows[at : at + n] = np.linalg.solve(root, basis[at : at + n])
-            at += n
+            white_rest[own] = np.linalg.solve(root, rest[own])
+            white_rows[own] = np.linalg.solve(root, basis[own])
+            at = own.stop
         information = white_rows.T @ white_rows
         by = white_rows.T @ white_rest
         total += float(np.linalg.slogdet(information)[1])
         return total + float(white_rest @ white_rest - by @ np.linalg.solve(information, by))
 
     bounds = ((low, math.log(10.0 * size)), (-11.5, 0.0))
+    if fixed is not None:
+        bounds = ((math.log(fixed), math.log(fixed) + _HELD), bounds[1])
     best = min(
         (
             minimize(

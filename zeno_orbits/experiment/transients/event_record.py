@@ -183,7 +183,7 @@ def event_series(recording: Recording, stops: Sequence[str]) -> tuple[EventSerie
             raise InputError(f"Argument `recording` {wanted}, not in {signal.unit}.")
         times = np.unique(signal.values[np.isfinite(signal.values)])
         if len(times):
-            found.append(_labelled_series(kind, stop, times))
+            found.append(labelled_series(kind, stop, times))
     known = {(one.kind, one.stop) for one in found}
     channels = contact_channels(recording, stops)
     for stop, row in channels.items():
@@ -211,8 +211,14 @@ def _stop_of(name: str, stops: Sequence[str]) -> str:
     return stop
 
 
-def _labelled_series(kind: EventKind, stop: str, times: Vector) -> EventSeries:
-    """Return event times with their labels. Releases do not accumulate, so all of them are true."""
+def labelled_series(kind: EventKind, stop: str, times: Vector) -> EventSeries:
+    """Return event times with their labels. Releases do not accumulate, so all of them are true.
+
+    Args:
+        kind: Impact or release.
+        stop: Name of the stop.
+        times: Increasing times, ``(n,)`` [s].
+    """
     if kind is not EventKind.IMPACT:
         n = len(times)
         return EventSeries(

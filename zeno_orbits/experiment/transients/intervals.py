@@ -46,7 +46,7 @@ def degrees(fit: StagedFit) -> int:
 
 
 def profile_ends(
-    shooting: Shooting, fit: StagedFit, k: int, inflation: float
+    shooting: Shooting, fit: StagedFit, k: int, inflation: float, freedom: float | None = None
 ) -> tuple[float, float]:
     """Return the ends of the 95 % interval of an unknown.
 
@@ -55,12 +55,12 @@ def profile_ends(
         fit: The optimum.
         k: Index of the unknown.
         inflation: Ratio of the errors to those for independent residuals.
+        freedom: Degrees of freedom of the error, those of the residuals by default.
     """
     from scipy.stats import t as student
 
-    freedom = degrees(fit)
-    limit = float(student.ppf(0.975, freedom)) * inflation
-    scale = math.sqrt(fit.cost / freedom)
+    limit = float(student.ppf(0.975, degrees(fit) if freedom is None else freedom)) * inflation
+    scale = math.sqrt(fit.cost / degrees(fit))
     covariance = covariance_of(fit)
     error = scale * math.sqrt(max(covariance[k, k], 0.0))
     low, high = shooting.bounds

@@ -21,6 +21,8 @@ _HEIGHT = 6.0
 """Standard deviations of the gap above the stop within which an impact may be sampled."""
 _FLOOR = 1e-6
 """Least noise of a channel, relative to its range: files have finitely many digits."""
+_AGAIN = 3
+"""Further searches for impacts between slower and slower flights."""
 _FAR = 1e-4
 """Step of a state, relative to its scale, that shows whether the gap depends on it."""
 
@@ -102,6 +104,31 @@ def impacts_in_gap(time: Vector, gap: Vector) -> Vector:
     ]
     step = float(np.median(np.diff(time)))
     return np.array([_refined(time, gap, near, j, width, step) for j in range(len(near))])
+
+
+def all_impacts(time: Vector, gap: Vector) -> Vector:
+    """Return the times of the impacts that a recorded gap shows, those between slow flights too.
+
+    Slow flights bear a wider moving average, so the rest after the last impact is searched again.
+
+    Args:
+        time: Increasing times, ``(n,)`` [s].
+        gap: The gap, NaN where a sample is missing, ``(n,)``.
+    """
+    found = impacts_in_gap(time, gap)
+    step = float(np.median(np.diff(time)))
+    for _ in range(_AGAIN):
+        flights = np.diff(found)
+        if len(flights) < 2 or not flights[-1] < 0.98 * flights[-2]:
+            return found
+        ratio = float(np.clip(flights[-1] / flights[-2], 0.3, 0.95))
+        left = flights[-1] * ratio / (1.0 - ratio)
+        rows = (time > found[-1] + 1.5 * step) & (time < found[-1] + 1.3 * left)
+        more = impacts_in_gap(time[rows], gap[rows])
+        if not len(more):
+            return found
+        found = np.concatenate([found, more])
+    return found
 
 
 def _fall(smooth: Vector, i: int, size: float) -> float:

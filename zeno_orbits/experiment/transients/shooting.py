@@ -345,6 +345,20 @@ class Prediction:
         return self._events[1]
 
 
+def independent_whitening(trial: TrialData) -> Vector:
+    """Return the whitening of the event times of a trial with independent errors, ``(n_e, n_e)``.
+
+    Args:
+        trial: The trial.
+    """
+    errors = [
+        error
+        for one, error in zip(trial.series, trial.event_errors, strict=True)
+        for _ in one.times
+    ]
+    return np.diag(1.0 / np.array(errors)) if errors else np.zeros((0, 0))
+
+
 def event_times(trial: TrialData) -> Vector:
     """Return all event times of a trial in the order of the residuals, ``(n_e,)`` [s]."""
     return np.concatenate([np.zeros(0), *(one.times for one in trial.series)])

@@ -9,8 +9,9 @@ tests of the residuals; profile intervals.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,13 @@ from zeno_orbits.experiment.transients.event_record import EventSeries
 from zeno_orbits.experiment.transients.intervals import covariance_of, degrees, profile_ends
 from zeno_orbits.experiment.transients.motion import SETTINGS, TransientMotion
 from zeno_orbits.experiment.transients.residual_tests import ResidualTests, tested
-from zeno_orbits.experiment.transients.shooting import Shooting, event_times, matched
+from zeno_orbits.experiment.transients.scattered_impacts import MixedFit, mixed_fit
+from zeno_orbits.experiment.transients.shooting import (
+    Shooting,
+    event_times,
+    independent_whitening,
+    matched,
+)
 from zeno_orbits.experiment.transients.staged_fit import (
     LostStartError,
     StagedFit,
@@ -51,6 +58,8 @@ _UNLIKE = 0.12
 """Residuals relative to the range of the channels from which the motion is another one."""
 _MOSTLY = 0.8
 """Part of the deviations that a law of the speed explains before it is named."""
+_EXACT = 1e-5
+"""Residuals relative to the range of the channels that are rounding and no scatter."""
 _EDGE = 1e-3
 _ROUNDS = 3
 
@@ -263,7 +272,7 @@ def _shooting(
         graph=graph,
         unknowns=unknowns,
         trials=tuple(_placed(problem, begin, one) for one in trials),
-        whitening=tuple(_independent(one) for one in trials),
+        whitening=tuple(independent_whitening(one) for one in trials),
     )
 
 
@@ -288,16 +297,6 @@ def _with_channel_ranges(unknowns: Unknowns, trials: Sequence[TrialData]) -> Unk
                 scale[k] = max(sizes) or 1.0
                 lower[k], upper[k] = -scale[k], scale[k]
     return replace(unknowns, scale=scale, lower=lower, upper=upper)
-
-
-def _independent(trial: TrialData) -> Vector:
-    """Return the whitening of event times with independent errors."""
-    errors = [
-        error
-        for one, error in zip(trial.series, trial.event_errors, strict=True)
-        for _ in one.times
-    ]
-    return np.diag(1.0 / np.array(errors)) if errors else np.zeros((0, 0))
 
 
 def _placed(problem: Problem, begin: ParameterValues, trial: TrialData) -> TrialData:
@@ -467,33 +466,34 @@ def _described(
     scatter = math.nan if known is None else known.scatter
     jitter = math.nan if known is None else known.jitter / known.longest
     tests = tested(shooting, found, noise, scatter, jitter)
-    inflation = tests.inflation if tests.has_structure else 1.0
-    labels = [one.label for one in sought]
-    scale = math.sqrt(found.cost / degrees(found)) * inflation
-    unseen = _unseen(shooting, found, labels, scale)
-    hidden = {name for one in unseen for name, part in one.direction.items() if abs(part) > _HIDDEN}
-    at_end = [label for k, label in enumerate(labels) if _at_end(shooting, found, k)]
-    tests = replace(tests, ends=tuple(label for label in at_end if label not in hidden))
-    k, covariance = shooting.n_shared, covariance_of(found)
-    covariance = covariance[:k, :k]
-    errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    determined = _is_determined(found)
-    without = {*hidden, *at_end} if determined and found.converged else {*labels}
     trials = tuple(_fitted_trial(shooting, found, j) for j in range(len(shooting.trials)))
+    scattered = sought and after > _EXACT and tests.law_differs
+    mixed = mixed_fit(shooting, found) if scattered else None
+    if mixed is not None:
+        shooting, scatter = mixed.shooting, mixed.noise.scatter
+        found = replace(mixed.found, agreed=found.agreed, starts=found.starts)
+        tests = _under_scatter(mixed, noise, tests)
+    widened = tests.has_structure and mixed is None
+    basis = _Basis(
+        shooting=shooting,
+        found=found,
+        inflation=tests.inflation if widened else 1.0,
+        freedom=None if mixed is None else mixed.freedom,
+        labels=tuple(one.label for one in sought),
+    )
+    tests = replace(tests, ends=tuple(one for one in basis.at_end if one not in basis.hidden))
+    k, covariance = shooting.n_shared, covariance_of(found)
+    errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))[:k]
+    determined = _is_determined(found)
     others = tuple(
-        dict(zip(labels, shooting.values(z).tolist(), strict=True)) for z in found.others
+        dict(zip(basis.labels, shooting.values(z).tolist(), strict=True)) for z in found.others
     )
     return TransientResult(
         values=_values(shooting, found, sought, begin),
-        shared=tuple(
-            _unknown(shooting, found, j)
-            if label in without
-            else _shared(shooting, found, j, scale * float(errors[j]), inflation, on_progress)
-            for j, label in enumerate(labels)
-        ),
+        shared=tuple(basis.shared(on_progress)),
         unknowns=shooting.unknowns,
-        correlation=covariance / np.outer(errors, errors),
-        unseen=unseen,
+        correlation=covariance[:k, :k] / np.outer(errors, errors),
+        unseen=basis.unseen,
         before=before,
         after=after,
         converged=found.converged,
@@ -501,58 +501,106 @@ def _described(
         fit=TransientFit(
             trials=trials,
             tests=tests,
-            verdict=_verdict(tests, events, is_fitted=k > 0, determined=determined),
+            verdict=_verdict(tests, events, mixed, is_fitted=k > 0, determined=determined),
             starts=found.starts,
             agreed=found.agreed,
             jitter=math.nan if events is None else events.jitter,
             scatter=scatter,
         ),
-        remarks=tuple(_remarks(shooting, found, at_end, trials, tests, others)),
+        remarks=tuple(
+            _remarks(shooting, found, basis.at_end, trials, tests, others, widened=widened)
+        ),
     )
+
+
+def _under_scatter(
+    mixed: MixedFit, noise: tuple[Vector, ...], tests: ResidualTests
+) -> ResidualTests:
+    """Return the tests of several trials against their scatter, and those of a single trial.
+
+    The impacts of one trial cannot separate a law from scatter, so its tests stay as they are.
+    """
+    if len(mixed.shooting.trials) < 2:
+        return tests
+    jitter = mixed.noise.jitter / mixed.noise.longest
+    return tested(mixed.shooting, mixed.found, noise, mixed.noise.scatter, jitter)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Basis:
+    """The fit that intervals rest on: of all samples, or of a mixed model.
+
+    Attributes:
+        shooting: The trials.
+        found: The optimum.
+        inflation: Ratio of the errors to those for independent residuals.
+        freedom: Degrees of freedom of the unknowns, those of the residuals by default.
+        labels: Labels of the shared unknowns.
+    """
+
+    shooting: Shooting
+    found: StagedFit
+    inflation: float
+    freedom: Vector | None
+    labels: tuple[str, ...]
+
+    @cached_property
+    def _scale(self) -> float:
+        return math.sqrt(self.found.cost / degrees(self.found)) * self.inflation
+
+    @cached_property
+    def unseen(self) -> tuple[Unseen, ...]:
+        """Combinations that the trials do not determine."""
+        return _unseen(self.shooting, self.found, self.labels, self._scale)
+
+    @property
+    def hidden(self) -> set[str]:
+        """Labels of the unknowns in these combinations."""
+        parts = (pair for one in self.unseen for pair in one.direction.items())
+        return {name for name, part in parts if abs(part) > _HIDDEN}
+
+    @property
+    def at_end(self) -> list[str]:
+        """Labels of the unknowns at an end of their range."""
+        rows = enumerate(self.labels)
+        return [label for k, label in rows if _at_end(self.shooting, self.found, k)]
+
+    def shared(self, on_progress: Progress) -> Iterator[SharedValue]:
+        """Yield the fitted values, with intervals of those that are determined.
+
+        Args:
+            on_progress: Called with the part that is done.
+        """
+        known = _is_determined(self.found) and self.found.converged
+        without = {*self.hidden, *self.at_end} if known else {*self.labels}
+        for j, label in enumerate(self.labels):
+            on_progress("computing the intervals", j / len(self.labels))
+            yield self._unknown(j) if label in without else self._known(j)
+
+    def _unknown(self, j: int) -> SharedValue:
+        value = float(self.shooting.values(self.found.z)[j])
+        return SharedValue(value=value, error=math.inf, low=-math.inf, high=math.inf)
+
+    def _known(self, j: int) -> SharedValue:
+        shooting, z = self.shooting, self.found.z
+        freedom = None if self.freedom is None else float(self.freedom[j])
+        ends: list[float] = []
+        for end in profile_ends(shooting, self.found, j, self.inflation, freedom):
+            other = z.copy()
+            other[j] = end
+            ends.append(float(shooting.values(other)[j]))
+        error = self._scale * math.sqrt(max(float(covariance_of(self.found)[j, j]), 1e-300))
+        return SharedValue(
+            value=float(shooting.values(z)[j]),
+            error=abs(float(shooting.slopes(z)[j])) * error,
+            low=min(ends),
+            high=max(ends),
+        )
 
 
 def _is_determined(found: StagedFit) -> bool:
     """Return True if there are more data than unknowns that matter."""
     return len(found.rest) > int(np.linalg.matrix_rank(found.jacobian))
-
-
-def _unknown(shooting: Shooting, found: StagedFit, j: int) -> SharedValue:
-    """Return a fitted value without an interval."""
-    value = float(shooting.values(found.z)[j])
-    return SharedValue(value=value, error=math.inf, low=-math.inf, high=math.inf)
-
-
-def _shared(
-    shooting: Shooting,
-    found: StagedFit,
-    j: int,
-    error: float,
-    inflation: float,
-    on_progress: Progress,
-) -> SharedValue:
-    """Return a fitted value with its profile interval.
-
-    Args:
-        shooting: The trials.
-        found: The optimum.
-        j: Index of the value.
-        error: Standard error of its unknown.
-        inflation: Ratio of the errors to those for independent residuals.
-        on_progress: Called with the part that is done.
-    """
-    on_progress("computing the intervals", j / shooting.n_shared)
-    low, high = profile_ends(shooting, found, j, inflation)
-    ends: list[float] = []
-    for end in (low, high):
-        z = found.z.copy()
-        z[j] = end
-        ends.append(float(shooting.values(z)[j]))
-    return SharedValue(
-        value=float(shooting.values(found.z)[j]),
-        error=abs(float(shooting.slopes(found.z)[j])) * error,
-        low=min(ends),
-        high=max(ends),
-    )
 
 
 def _unseen(
@@ -655,7 +703,12 @@ def _at_end(shooting: Shooting, found: StagedFit, k: int) -> bool:
 
 
 def _verdict(
-    tests: ResidualTests, events: EventNoise | None, *, is_fitted: bool, determined: bool
+    tests: ResidualTests,
+    events: EventNoise | None,
+    mixed: MixedFit | None,
+    *,
+    is_fitted: bool,
+    determined: bool,
 ) -> str:
     """Return one sentence about the model, the most specific finding first."""
     if not determined:
@@ -666,7 +719,7 @@ def _verdict(
             f"(probability {min(tests.law[one] for one in tests.law_differs):.1g} by chance)"
         )
     if tests.speed_matters or tests.law_differs:
-        return _law_verdict(tests)
+        return _law_verdict(tests, mixed)
     if tests.is_loose:
         return (
             f"structure is left: the events hardly follow the model, with {100 * tests.odd:.2g} % "
@@ -686,12 +739,17 @@ def _verdict(
     if tests.ends:
         names = ", ".join(f"`{one}`" for one in tests.ends)
         return f"structure is left: {names} reached an end of the range, and is not identified"
+    if mixed is not None and len(mixed.shooting.trials) > 1:
+        return (
+            f"no structure is left: one restitution with a scatter of "
+            f"{100 * mixed.noise.scatter:.2g} % from impact to impact explains the impacts"
+        )
     if events is not None and not math.isfinite(tests.misfit):
         return "no structure is left: one law with its scatter explains the event times"
     return "no structure is left: the residuals are white and as large as the noise"
 
 
-def _law_verdict(tests: ResidualTests) -> str:
+def _law_verdict(tests: ResidualTests, mixed: MixedFit | None) -> str:
     """Return the sentence about impacts that do not have one restitution."""
     stops = dict.fromkeys((*tests.speed_matters, *tests.law_differs))
     where = f" at {', '.join(f'`{one}`' for one in stops)}"
@@ -708,10 +766,16 @@ def _law_verdict(tests: ResidualTests) -> str:
             f"structure is left: the impacts{where} do not have one restitution beyond its scatter "
             f"(probability {rare:.1g}), so it follows the speed, or the flights have drag"
         )
+    size = "" if mixed is None else f" of {100 * mixed.noise.scatter:.2g} %"
+    if mixed is not None and len(mixed.shooting.trials) > 1:
+        return (
+            f"structure is left: the impacts{where} do not have one restitution beyond a scatter"
+            f"{size} (probability {rare:.1g}), so it follows a law"
+        )
     return (
         f"structure is left: the impacts{where} do not have one restitution (probability "
-        f"{rare:.1g}); a law of the speed or scatter may explain this, and a single drop cannot "
-        f"separate them"
+        f"{rare:.1g}); a law of the speed or scatter{size} may explain this, and a single drop "
+        f"cannot separate them"
     )
 
 
@@ -722,6 +786,8 @@ def _remarks(
     trials: Sequence[FittedTrial],
     tests: ResidualTests,
     others: Sequence[Mapping[str, float]],
+    *,
+    widened: bool,
 ) -> list[str]:
     remarks = [word for one in shooting.trials for word in one.remarks]
     many = len(trials) > 1
@@ -736,7 +802,7 @@ def _remarks(
         remarks.append(
             "the fit did not converge: better values may exist, and none has an interval"
         )
-    if tests.has_structure and tests.inflation > 1.0:
+    if widened and tests.inflation > 1.0:
         remarks.append(
             f"intervals are {tests.inflation:.2g} times as wide as for independent residuals, and "
             f"the estimates may still be biased beyond them"

@@ -16,6 +16,7 @@ from zeno_orbits.experiment.orbit_table import Measurement, measurable, measurem
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.experiment.transients.event_record import EventSeries, event_series
 from zeno_orbits.experiment.transients.seen_impacts import (
+    all_impacts,
     beside_impacts,
     impacts_in_gap,
     needed_states,
@@ -70,6 +71,7 @@ class TrialData:
         series: Event times, since the origin.
         event_errors: Standard error of each series [s].
         impacts: Times of the impacts that the gap shows, by stop, since the origin.
+        every_impact: The same with the impacts between slow flights.
         start: Initial state at the start of the fit, ``(n_x,)``.
         free: The free initial values.
         horizons: End times of the stages of the fit, the last one whole [s].
@@ -88,6 +90,7 @@ class TrialData:
     series: tuple[EventSeries, ...]
     event_errors: tuple[float, ...]
     impacts: Mapping[str, Vector]
+    every_impact: Mapping[str, Vector]
     start: Vector
     free: tuple[FreeStart, ...]
     horizons: tuple[float, ...]
@@ -203,6 +206,7 @@ def _of_events(
         series=tuple(series),
         event_errors=tuple(_error_of(one) for one in series),
         impacts={},
+        every_impact={},
         start=begin,
         free=tuple(found),
         horizons=(*horizons, math.inf),
@@ -285,6 +289,7 @@ def _of_samples(
         series=series,
         event_errors=tuple(_error_of(one) for one in series),
         impacts=impacts,
+        every_impact={stop: all_impacts(time, row) for stop, row in gaps.items()},
         start=at_start,
         free=frees,
         horizons=_horizons(time, every),

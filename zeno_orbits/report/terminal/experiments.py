@@ -319,7 +319,9 @@ def _transient_lines(found: TransientFit) -> list[str]:
         missed, false = (sum(map(len, rows)) for rows in _errors_of(others))
         more = counted(len(others), "further trial")
         lines.append(f"{more}: {counted(missed, 'event')} missed, {false} false.")
-    if math.isfinite(found.scatter):
+    if math.isfinite(found.scatter) and not math.isfinite(found.jitter):
+        lines.append(f"Scatter of the restitution per impact: {100 * found.scatter:.2g} %.")
+    elif math.isfinite(found.scatter):
         lines.append(
             f"Event times: jitter {1e3 * found.jitter:.2g} ms, scatter of the restitution per "
             f"impact {100 * found.scatter:.2g} %."
