@@ -9,6 +9,7 @@ has the scatter as a component of variance, by restricted likelihood (`event_noi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,19 +54,21 @@ class MixedFit:
     freedom: Vector
 
 
-def mixed_fit(shooting: Shooting, found: StagedFit) -> MixedFit | None:
+def mixed_fit(shooting: Shooting, found: StagedFit, noise: Sequence[Vector]) -> MixedFit | None:
     """Return the fit of a mixed model, or ``None`` if the trials show too few impacts for it.
 
     Args:
         shooting: The trials, with samples.
         found: Their optimum by least squares.
+        noise: Noise of the channels of each trial by themselves, ``(n_s,)``.
     """
     trials = [_by_impacts(one) for one in shooting.trials]
     known = [one for one in trials if one is not None]
     if len(known) < len(trials):
         return None
     whitening = tuple(independent_whitening(one) for one in known)
-    mixed = replace(shooting, trials=tuple(known), whitening=whitening)
+    # The weights of the least squares contain the deviations of the impacts.
+    mixed = replace(shooting, trials=tuple(known)).reweighted(noise, whitening)
     try:
         return _converged(mixed, fitted(mixed, found.z))
     except LostStartError:
@@ -101,9 +104,14 @@ def _by_impacts(trial: TrialData) -> TrialData | None:
         return None
     step = float(np.median(np.diff(trial.time)))
     first = min(float(one.times[0]) for one in series)
-    seen = trial.seen & (trial.time < first - _BESIDE * step)[:, None]
-    if seen.any(axis=1).sum() < _FEWEST_SAMPLES:
+    n = int(np.searchsorted(trial.time, first - _BESIDE * step))
+    if trial.seen[:n].any(axis=1).sum() < _FEWEST_SAMPLES:
         return None
     return replace(
-        trial, seen=seen, series=tuple(series), event_errors=(_ERROR * step,) * len(series)
+        trial,
+        time=trial.time[:n],
+        values=trial.values[:n],
+        seen=trial.seen[:n],
+        series=tuple(series),
+        event_errors=(_ERROR * step,) * len(series),
     )

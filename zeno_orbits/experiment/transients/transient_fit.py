@@ -468,7 +468,7 @@ def _described(
     tests = tested(shooting, found, noise, scatter, jitter)
     trials = tuple(_fitted_trial(shooting, found, j) for j in range(len(shooting.trials)))
     scattered = sought and after > _EXACT and tests.law_differs
-    mixed = mixed_fit(shooting, found) if scattered else None
+    mixed = mixed_fit(shooting, found, noise) if scattered else None
     if mixed is not None:
         shooting, scatter = mixed.shooting, mixed.noise.scatter
         found = replace(mixed.found, agreed=found.agreed, starts=found.starts)

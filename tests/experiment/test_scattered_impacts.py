@@ -1,0 +1,85 @@
+"""Drops whose restitution scatters from impact to impact, against their own closed form."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from zeno_orbits.experiment import RecordedSignal
+
+G, NOISE = 9.81, 1.5e-3
+
+
+def drop(seed: int, e: float, scatter: float, height: float = 0.5) -> zo.Recording:
+    """Return a drop of a ball at 250 samples a second, each impact with its own restitution."""
+    random = np.random.default_rng(seed)
+    begin, speed = math.sqrt(2 * height / G), math.sqrt(2 * G * height)
+    times = np.arange(0.0, begin * (1 + e) / (1 - e) + 0.1, 1 / 250)
+    found = np.where(times < begin, height - G * times**2 / 2, 0.0)
+    while speed > 1e-6:
+        speed *= min(e * (1.0 + scatter * random.standard_normal()), 0.99)
+        since = times - begin
+        inside = (since >= 0.0) & (since < 2 * speed / G)
+        found[inside] = speed * since[inside] - G * since[inside] ** 2 / 2
+        begin += 2 * speed / G
+    values = found + NOISE * random.standard_normal(len(times))
+    signal = RecordedSignal(name="height", unit="m", values=values)
+    return zo.Recording(source=None, problem="bouncing_ball", time=times, signals=(signal,))
+
+
+@cache
+def _fit(seed: int, e: float, scatter: float, n: int = 1) -> zo.Identification:
+    heights = 0.5 - 0.05 * np.arange(n)
+    drops = [drop(seed + k, e, scatter, float(own)) for k, own in enumerate(heights)]
+    return zo.identify("bouncing_ball", drops, ["restitution"], transient=True)
+
+
+def test_one_scattering_drop_has_an_interval_as_wide_as_its_few_impacts_allow() -> None:
+    found = _fit(4, 0.75, 0.03)
+    (one,) = found.fitted
+    assert found.transient is not None
+    assert one.low < 0.75 < one.high
+    # Of n impacts the mean has the error 3 % / sqrt(n) at best. Samples alone give 0.1 %.
+    most = len(found.transient.trials[0].impacts)
+    assert one.high - one.low > 2 * 0.03 * 0.75 / math.sqrt(most)
+    assert found.transient.tests.has_structure
+    assert "a single drop cannot separate them" in found.transient.verdict
+    assert 0.005 < found.transient.scatter < 0.1
+
+
+def test_a_drop_without_scatter_keeps_the_interval_of_its_samples() -> None:
+    found = _fit(2, 0.75, 0.0)
+    (one,) = found.fitted
+    assert found.transient is not None
+    assert not found.transient.tests.has_structure
+    assert math.isnan(found.transient.scatter)
+    assert one.high - one.low < 2e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scatter", [0.03, 0.1])
+def test_several_drops_separate_scatter_from_a_law(scatter: float) -> None:
+    found = _fit(20, 0.7, scatter, 4)
+    (one,) = found.fitted
+    assert found.transient is not None
+    assert one.low < 0.7 < one.high
+    assert one.high - one.low < 8 * scatter * 0.7 / math.sqrt(16)
+    assert found.transient.scatter == pytest.approx(scatter, rel=0.5)
+    assert not found.transient.tests.has_structure
+    assert "from impact to impact explains the impacts" in found.transient.verdict
+
+
+@pytest.mark.slow
+def test_intervals_of_scattering_drops_contain_the_truth() -> None:
+    random = np.random.default_rng(3)
+    held = 0
+    for k in range(10):
+        e = float(random.uniform(0.55, 0.8))
+        (one,) = _fit(100 + k, e, 0.03).fitted
+        held += one.low <= e <= one.high
+    # Fewer than 8 of 10 have a probability of 1 % if the share is 0.95.
+    assert held >= 8
