@@ -68,7 +68,8 @@ def test_several_drops_separate_scatter_from_a_law(scatter: float) -> None:
     assert found.transient is not None
     assert one.low < 0.7 < one.high
     assert one.high - one.low < 8 * scatter * 0.7 / math.sqrt(16)
-    assert found.transient.scatter == pytest.approx(scatter, rel=0.5)
+    # Of about 16 impacts the standard deviation has an error of a fifth.
+    assert 0.5 * scatter < found.transient.scatter < 2.0 * scatter
     assert not found.transient.tests.has_structure
     assert "from impact to impact explains the impacts" in found.transient.verdict
 

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 
 from zeno_orbits.api.checks import verify
 from zeno_orbits.api.inputs import Named, any_orbit, front_door, problem_of
+from zeno_orbits.api.machines import compare
 from zeno_orbits.errors import InputError
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
+    from zeno_orbits.experiment import Recording
     from zeno_orbits.maps import Pushes, Recovery
     from zeno_orbits.model import Problem
     from zeno_orbits.precision import WorkPrecision
@@ -30,6 +32,9 @@ def report_page(
     trade: WorkPrecision | str | Path | None = None,
     pushes: Pushes | str | Path | None = None,
     recovery: Recovery | str | Path | None = None,
+    recording: Recording | str | Path | None = None,
+    t_start: float | None = None,
+    t_end: float | None = None,
     on_progress: Progress = silent,
 ) -> str:
     """Verify an orbit and return the results as one page for a browser, in HTML.
@@ -41,6 +46,9 @@ def report_page(
         trade: A work-precision study of the problem, or its file.
         pushes: The largest pushes of the orbit, or their file.
         recovery: The recovery of the orbit, or its file.
+        recording: A recording to compare with the orbit, or its file.
+        t_start: First time of the recording that counts [s].
+        t_end: Last time of the recording that counts [s].
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:
@@ -57,6 +65,9 @@ def report_page(
         trade=trade,
         pushes=pushes,
         recovery=recovery,
+        recording=recording,
+        t_start=t_start,
+        t_end=t_end,
         on_progress=on_progress,
     )
     on_progress("writing the page", None)
@@ -71,6 +82,9 @@ def report_subject(
     trade: WorkPrecision | str | Path | None = None,
     pushes: Pushes | str | Path | None = None,
     recovery: Recovery | str | Path | None = None,
+    recording: Recording | str | Path | None = None,
+    t_start: float | None = None,
+    t_end: float | None = None,
     on_progress: Progress = silent,
 ) -> Subject:
     """Return the subject of a report page: the orbit with a fresh verification report.
@@ -82,6 +96,9 @@ def report_subject(
         trade: As in `report_page`.
         pushes: As in `report_page`.
         recovery: As in `report_page`.
+        recording: As in `report_page`.
+        t_start: As in `report_page`.
+        t_end: As in `report_page`.
         on_progress: As in `report_page`.
 
     Raises:
@@ -97,6 +114,19 @@ def report_subject(
     study = _trade_of(found, trade)
     pushed = _pushes_of(found, known, pushes)
     recovered = _recovery_of(found, known, recovery)
+    if recording is None and (t_start is not None or t_end is not None):
+        asked = "t_end" if t_start is None else "t_start"
+        raise InputError(f"Argument `{asked}` needs a recording.")
+    compared = None
+    if recording is not None:
+        compared = compare(
+            found,
+            recording,
+            problem=known,
+            t_start=t_start,
+            t_end=t_end,
+            on_progress=on_progress,
+        )
     machine = found.machine(known)
     certificate = verify(
         found, problem=known, settings=settings, dynamics=machine, on_progress=on_progress
@@ -109,6 +139,8 @@ def report_subject(
         trade=study,
         pushes=pushed,
         recovery=recovered,
+        comparison=compared,
+        recording=Path(recording).name if isinstance(recording, str | Path) else "",
         file="orbit.json" if isinstance(orbit, Orbit) else Path(orbit).name,
         problem_file=str(problem) if isinstance(problem, str | Path) else "",
         content=json.dumps(found.as_json(), indent=2, allow_nan=False) + "\n",

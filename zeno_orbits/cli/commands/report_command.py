@@ -15,11 +15,12 @@ from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_orbit,
+    add_shared,
     print_json,
     say_written,
 )
 from zeno_orbits.cli.outputs import PAGE, require_outputs
-from zeno_orbits.cli.parsing import read_count, read_share
+from zeno_orbits.cli.parsing import read_count, read_number, read_share
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import utf8, write_whole
@@ -38,6 +39,7 @@ def add_report(commands: Any) -> None:
             "zeno-orbits report orbit.json -o report.html --trade trade.json",
             "zeno-orbits report orbit.json -o report.html --pushes pushes.json "
             "--recovery recovery.json",
+            "zeno-orbits report orbit.json -o report.html --recording run.csv --t-start 12",
         ],
     )
     add_orbit(parser)
@@ -62,6 +64,14 @@ def add_report(commands: Any) -> None:
         metavar="RECOVERY.json",
         help="also show the recovery of this file, written by `recovery -o`",
     )
+    parser.add_argument(
+        "--recording",
+        type=Path,
+        metavar="DATA.csv",
+        help="also compare this recording with the orbit, as `compare` does",
+    )
+    add_shared(parser, "t_start", type=read_number)
+    add_shared(parser, "t_end", type=read_number)
     add_proof(parser)
     parser.add_argument(
         "--tolerance",
@@ -78,7 +88,8 @@ def add_report(commands: Any) -> None:
 def _run_report(options: argparse.Namespace) -> int:
     from zeno_orbits.report import load_bundle, page_of
 
-    given = (options.orbit, options.trade, options.pushes, options.recovery, options.proof)
+    beside = (options.trade, options.pushes, options.recovery, options.recording, options.proof)
+    given = (options.orbit, *beside)
     reads = [path for path in given if path is not None]
     require_outputs(options, {"output": PAGE}, reads=reads)
     bundle = load_bundle()
@@ -95,6 +106,9 @@ def _run_report(options: argparse.Namespace) -> int:
             trade=options.trade,
             pushes=options.pushes,
             recovery=options.recovery,
+            recording=options.recording,
+            t_start=options.t_start,
+            t_end=options.t_end,
             on_progress=progress,
         )
         proved = proof_of(options, orbit, problem) if orbit.has_phases else None
@@ -131,6 +145,12 @@ def _command(options: argparse.Namespace) -> tuple[str, ...]:
         words += ["--pushes", options.pushes.name]
     if options.recovery is not None:
         words += ["--recovery", options.recovery.name]
+    if options.recording is not None:
+        words += ["--recording", options.recording.name]
+    if options.t_start is not None:
+        words += ["--t-start", f"{options.t_start:g}"]
+    if options.t_end is not None:
+        words += ["--t-end", f"{options.t_end:g}"]
     if options.proof is not None:
         words += ["--proof", options.proof.name]
     if options.tolerance != 1e-9:

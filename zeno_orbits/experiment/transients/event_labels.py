@@ -87,11 +87,12 @@ def sequences_of(times: Vector) -> list[slice]:
     return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
 
-def labelled(times: Vector) -> Labels:
+def labelled(times: Vector, scatter: float = _SCATTER) -> Labels:
     """Return the labels of the events of one sequence of impacts.
 
     Args:
         times: Increasing times, ``(n,)`` [s]. Fewer than four are all taken as true.
+        scatter: Scatter of the ratio of two flights that is no evidence of an error.
     """
     n = len(times)
     if n < 4:
@@ -100,14 +101,14 @@ def labelled(times: Vector) -> Labels:
     jitter = _JITTER * min(1.0, float(np.max(intervals)) / 0.5)
     best: tuple[float, list[_Step], float] | None = None
     for ratio in _candidates(intervals):
-        cost, path = _cheapest(times, ratio, jitter)
+        cost, path = _cheapest(times, ratio, jitter, scatter)
         if best is None or cost < best[0]:
             best = cost, path, ratio
     if best is None:
         return Labels(numbers=tuple(range(n)), missed=(), ratio=math.nan, cost=0.0)
     for _ in range(2):
         ratio = _median_ratio(times, best[1], best[2])
-        cost, path = _cheapest(times, ratio, jitter)
+        cost, path = _cheapest(times, ratio, jitter, scatter)
         if cost >= best[0] - 1e-9:
             break
         best = cost, path, ratio
@@ -125,7 +126,9 @@ def _candidates(intervals: Vector) -> list[float]:
     return known.tolist()
 
 
-def _cheapest(times: Vector, ratio: float, jitter: float) -> tuple[float, list[_Step]]:
+def _cheapest(
+    times: Vector, ratio: float, jitter: float, scatter: float
+) -> tuple[float, list[_Step]]:
     """Return the cost and the path of the best labels at a ratio of flights."""
     n, stamps = len(times), times.tolist()
     whole = [(1 - ratio ** (s + 1)) / (1 - ratio) for s in range(_MOST_SKIPPED + 1)]
@@ -138,7 +141,7 @@ def _cheapest(times: Vector, ratio: float, jitter: float) -> tuple[float, list[_
                 extra = _FALSE * (j - i - 1) + _MISSED * s
                 cheapest: tuple[float, _Step | None] = (_FALSE * i + extra, None)
                 for before, last in ending[i]:
-                    spread = _SCATTER**2 + 2 * (jitter / last) ** 2 + 2 * (jitter / flight) ** 2
+                    spread = scatter**2 + 2 * (jitter / last) ** 2 + 2 * (jitter / flight) ** 2
                     off = math.log(flight / (last * ratio)) ** 2 / spread
                     cost = best[before][0] + off + extra
                     if cost < cheapest[0]:

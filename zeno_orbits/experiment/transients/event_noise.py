@@ -28,9 +28,8 @@ _LEAST, _LEAST_KNOWN = 4, 1
 """Events more than unknowns from which both variances are estimated, or the scatter alone."""
 _USUAL, _SPREAD = math.log(0.03), 1.2
 """Logarithm of the scatter of real impacts, 1 to 10 %, and its spread."""
-_HELD = 1e-3
-"""Width of the range of the logarithm of a known jitter."""
-_ROUNDS = 3
+_REACH, _HELD = 10.0, 1.001
+"""Factors around a known jitter within which it is estimated, or held."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,15 +50,15 @@ class EventNoise:
 
 
 def event_noise(
-    shooting: Shooting, z: Vector, fixed: float | None = None
+    shooting: Shooting, z: Vector, expected: float | None = None
 ) -> tuple[EventNoise, tuple[Vector, ...]] | None:
     """Return the noise of event times and the matrices that whiten them for each trial.
 
     Args:
         shooting: The trials.
         z: Unknowns at an optimum.
-        fixed: Jitter that few events are given [s], so that the scatter alone is estimated. It is
-            given if other tests show that impacts differ.
+        expected: Size of the jitter if it is known roughly and other tests show that impacts
+            differ [s]. The scatter alone is estimated from few events.
 
     Returns:
         The noise, or ``None`` if a trial cannot be simulated.
@@ -78,15 +77,16 @@ def event_noise(
     every = np.concatenate([rows, beside[1]])
     moved = np.any(rows != 0.0, axis=0)
     free = _rank(every[:, moved]) - _rank(beside[1][:, moved])
-    known = fixed is not None and len(rest) - free >= _LEAST_KNOWN
+    known = expected is not None and len(rest) - free >= _LEAST_KNOWN
     if len(rest) - free < _LEAST and not known:
         jitter = max(floor, 2e-3 * _longest(shooting))
         noise = EventNoise(jitter=jitter, scatter=0.0, estimated=False, longest=_longest(shooting))
     else:
-        jitter = fixed if known and len(rest) - free < _LEAST else None
-        likely = _likely(
-            (rest, beside[0]), every[:, moved], blocks, floor, jitter, scatters=fixed is not None
-        )
+        bounds = None
+        if expected is not None:
+            reach = _REACH if len(rest) - free >= _LEAST else _HELD
+            bounds = expected / reach, expected * reach
+        likely = _likely((rest, beside[0]), every[:, moved], blocks, floor, bounds)
         noise = replace(likely, longest=_longest(shooting))
     return noise, tuple(_whitening(noise, block) for block in blocks)
 
@@ -207,9 +207,7 @@ def _likely(
     rows: Vector,
     blocks: list[Vector],
     floor: float,
-    fixed: float | None,
-    *,
-    scatters: bool,
+    range_of_jitter: tuple[float, float] | None,
 ) -> EventNoise:
     """Return the noise of the greatest restricted likelihood.
 
@@ -218,8 +216,7 @@ def _likely(
         rows: Derivatives of both.
         blocks: Derivatives of the event times of each trial by single restitutions.
         floor: Least jitter [s].
-        fixed: Known jitter [s], or ``None`` to estimate it.
-        scatters: Whether other tests show that impacts differ.
+        range_of_jitter: Range of the jitter [s], if it is known roughly and impacts differ.
     """
     from scipy.optimize import minimize
 
@@ -233,7 +230,7 @@ def _likely(
     def negative(x: Vector) -> float:
         jitter, scatter = math.exp(x[0]), math.exp(x[1])
         # Few impacts may agree by chance, though others differ.
-        total = ((x[1] - _USUAL) / _SPREAD) ** 2 if scatters else 0.0
+        total = ((x[1] - _USUAL) / _SPREAD) ** 2 if range_of_jitter else 0.0
         white_rest, white_rows = rest.copy(), basis.copy()
         at = 0
         for block in blocks:
@@ -251,8 +248,9 @@ def _likely(
         return total + float(white_rest @ white_rest - by @ np.linalg.solve(information, by))
 
     bounds = ((low, math.log(10.0 * size)), (-11.5, 0.0))
-    if fixed is not None:
-        bounds = ((math.log(fixed), math.log(fixed) + _HELD), bounds[1])
+    if range_of_jitter is not None:
+        least, most = range_of_jitter
+        bounds = ((math.log(least), math.log(most)), bounds[1])
     best = min(
         (
             minimize(

@@ -211,13 +211,16 @@ def _stop_of(name: str, stops: Sequence[str]) -> str:
     return stop
 
 
-def labelled_series(kind: EventKind, stop: str, times: Vector) -> EventSeries:
+def labelled_series(
+    kind: EventKind, stop: str, times: Vector, scatter: float = 0.04
+) -> EventSeries:
     """Return event times with their labels. Releases do not accumulate, so all of them are true.
 
     Args:
         kind: Impact or release.
         stop: Name of the stop.
         times: Increasing times, ``(n,)`` [s].
+        scatter: Scatter of the ratio of two flights that is no evidence of an error.
     """
     if kind is not EventKind.IMPACT:
         n = len(times)
@@ -229,7 +232,7 @@ def labelled_series(kind: EventKind, stop: str, times: Vector) -> EventSeries:
     ratios: list[float] = []
     for group, part in enumerate(sequences_of(times)):
         own = times[part]
-        labels = labelled(own)
+        labels = labelled(own, scatter)
         ratios.append(labels.ratio)
         missed += _missed_words(own, labels, stop)
         for time, number in zip(own.tolist(), labels.numbers, strict=True):

@@ -32,6 +32,8 @@ _BESIDE = 1.5
 """Sampling times before the first impact from which samples do not count."""
 _ERROR = 0.3
 """First guess of the error of a seen impact, in sampling times."""
+_SCATTER = 0.15
+"""Scatter of the ratio of two flights that is no evidence of a missed impact: a gap shows most."""
 _ROUNDS = 4
 _SAME = 1e-3
 """Relative change of the noise at the end of the rounds."""
@@ -96,7 +98,7 @@ def _converged(mixed: Shooting, found: StagedFit) -> MixedFit | None:
 def _by_impacts(trial: TrialData) -> TrialData | None:
     """Return a trial with its samples up to the first impact, and the times of its impacts."""
     series = [
-        replace(labelled_series(EventKind.IMPACT, stop, np.sort(times)), missed=(), false=())
+        labelled_series(EventKind.IMPACT, stop, np.sort(times), _SCATTER)
         for stop, times in trial.every_impact.items()
         if len(times)
     ]

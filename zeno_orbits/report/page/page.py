@@ -25,6 +25,7 @@ from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.page.tables import tables_of, tiles_of
 from zeno_orbits.report.push_panels import push_panels
+from zeno_orbits.report.recordings import comparison_lines
 from zeno_orbits.report.symbols import direction_symbol, html_symbol
 from zeno_orbits.report.zeno_neighbourhood import close_ups
 
@@ -86,6 +87,8 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
             directions=[panel.direction for panel in push_panels(subject.pushes)]
             if subject.pushes
             else (),
+            recorded=comparison_lines(subject.comparison) if subject.comparison else (),
+            overlay=_picture(subject),
             symbol=_marked_symbols(subject.problem),
             answer={"kind": kind, "mark": _MARKS[kind]},
             tiles=tiles_of(subject),
@@ -111,6 +114,21 @@ def _marked_symbols(problem: Problem) -> Callable[[str | Mapping[str, float]], M
     )
 
 
+def _picture(subject: Subject) -> str:
+    """Return the recording over the orbit as a picture inside the page, or nothing."""
+    found = subject.comparison
+    if found is None or found.deviations is None:
+        return ""
+    from matplotlib import pyplot
+
+    from zeno_orbits.report.plots import plot_comparison, rendered
+
+    figure = plot_comparison(subject.problem, found)
+    picture = base64.b64encode(rendered(figure, "svg")).decode()
+    pyplot.close(figure)
+    return f"data:image/svg+xml;base64,{picture}"
+
+
 def _contents(subject: Subject) -> dict[str, str]:
     """Return the names and titles of the sections that the subject has, in order."""
     disturbed = subject.pushes is not None or subject.recovery is not None
@@ -120,6 +138,7 @@ def _contents(subject: Subject) -> dict[str, str]:
         "motion": "The motion",
         "stability": "Stability",
         "disturbances": "Disturbances" if disturbed else "",
+        "recording": "Recording" if subject.comparison is not None else "",
         "checks": "Can it be trusted?",
         "margins": "Margins" if subject.certificate.margins else "",
         "trade": "What accuracy costs" if subject.trade is not None else "",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.experiment import Comparison
 from zeno_orbits.maps import Pushes, Recovery
 from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem
 from zeno_orbits.orbits import Orbit
@@ -30,6 +31,8 @@ class Subject:
         trade: The problem's work-precision measurements, if there are any.
         pushes: The orbit's largest pushes, if they are known.
         recovery: The orbit's recovery from disturbances, if it is known.
+        comparison: A recording compared with the orbit, if there is one.
+        recording: Name of its file.
         file: Name of the orbit's file.
         problem_file: Path of the problem's file, or an empty string for a bundled problem.
         content: The orbit's file itself.
@@ -48,6 +51,8 @@ class Subject:
     trade: WorkPrecision | None = None
     pushes: Pushes | None = None
     recovery: Recovery | None = None
+    comparison: Comparison | None = None
+    recording: str = ""
     file: str = "orbit.json"
     problem_file: str = ""
     content: str = ""

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, cast
 
+from zeno_orbits.experiment import Comparison
 from zeno_orbits.maps import Push, Pushes, Recovery
 from zeno_orbits.model import Problem, Quantity, unit_quotient
 from zeno_orbits.orbits import Orbit
@@ -16,6 +17,7 @@ from zeno_orbits.report.page import words
 from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.paths import stops_of
+from zeno_orbits.report.recordings import comparison_columns
 from zeno_orbits.report.table import (
     BELOW_ROUNDING,
     BOUNDS,
@@ -101,6 +103,8 @@ def tables_of(subject: Subject, bundle: Bundle) -> dict[str, Table[Any]]:
         tables["pushes"] = table_of("Largest pushes", PUSHES, subject.pushes.pushes)
     if subject.recovery is not None:
         tables["extents"] = extents_table(subject.recovery)
+    if subject.comparison is not None:
+        tables["recording"] = recording_table(subject.comparison)
     return tables
 
 
@@ -284,6 +288,11 @@ def extents_table(found: Recovery) -> Table[Any]:
     """Return the states that vary inside the ball."""
     caption = "Largest difference from the orbit inside the ball, to first order"
     return table_of(caption, extent_columns(found), extents_of(found))
+
+
+def recording_table(found: Comparison) -> Table[Any]:
+    """Return the quantities of a recording next to the orbit's."""
+    return table_of("The recording beside the orbit", comparison_columns(found), found.metrics)
 
 
 def versions_table(orbit: Orbit, bundle: Bundle) -> Table[Any]:

@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import counted
 from zeno_orbits.model import unit_quotient
+from zeno_orbits.report.recordings import comparison_columns, comparison_lines, known, seven
 from zeno_orbits.report.table import (
     Column,
     name_column,
     number_column,
     prefixed,
     shown_number,
-    shown_with_error,
     text_column,
-    with_unit,
 )
 from zeno_orbits.report.terminal.console import print_lines, print_table
 
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
         ImpactDeviation,
         LawComparison,
         LawFit,
-        Metric,
         RecordingDescription,
         RigComparison,
         TransientComparison,
@@ -76,8 +74,8 @@ def print_rig(comparison: RigComparison, amplitude: str) -> None:
     columns: list[Column[str]] = [
         text_column("quantity", lambda name: rows[name]),
         text_column("unit", lambda name: scale(name)[0]),
-        number_column("orbit", lambda name: _seven(orbit(name) / scale(name)[1])),
-        number_column("machine, mean", lambda name: _seven(mean(name) / scale(name)[1])),
+        number_column("orbit", lambda name: seven(orbit(name) / scale(name)[1])),
+        number_column("machine, mean", lambda name: seven(mean(name) / scale(name)[1])),
         number_column("standard deviation", lambda name: _two(spread(name) / scale(name)[1])),
         number_column("difference", difference),
     ]
@@ -97,10 +95,6 @@ _ROUNDING = 1e-15
 
 def _two(value: float) -> str:
     return shown_number(value, 2) if abs(value) > _ROUNDING else "0"
-
-
-def _seven(value: float) -> str:
-    return shown_number(value, 7) if abs(value) > _ROUNDING else "0"
 
 
 def _settled(comparison: RigComparison, rows: Mapping[str, str]) -> str:
@@ -138,11 +132,11 @@ def print_contacts(
     )
     columns: list[Column[tuple[str, Mapping[str, float]]]] = [
         *([named] if stops else []),
-        number_column(f"contact begins [{unit}]", lambda one: _seven(one[1]["start"] / size)),
-        number_column(f"ends [{unit}]", lambda one: _seven(one[1]["end"] / size)),
+        number_column(f"contact begins [{unit}]", lambda one: seven(one[1]["start"] / size)),
+        number_column(f"ends [{unit}]", lambda one: seven(one[1]["end"] / size)),
         number_column(
             f"gap rate at its beginning [{rate}]",
-            lambda one: _seven(one[1]["approach_rate"] / speed),
+            lambda one: seven(one[1]["approach_rate"] / speed),
         ),
     ]
     names = stops or [""] * len(contacts)
@@ -162,7 +156,7 @@ def print_description(found: RecordingDescription) -> None:
 
     def bound(one: FileColumn, k: int) -> str:
         extent = found.extent(one)
-        return "" if extent is None else _seven(extent[k])
+        return "" if extent is None else seven(extent[k])
 
     def missing(one: FileColumn) -> str:
         extent = found.extent(one)
@@ -188,64 +182,10 @@ def print_description(found: RecordingDescription) -> None:
 
 def print_comparison(found: Comparison) -> None:
     """Print the verdict on a recording, and its quantities next to the orbit's quantities."""
-    print_lines(_verdict(found))
-
-    def scale(one: Metric) -> tuple[str, float]:
-        return prefixed(one.unit, one.orbit, one.data)
-
-    def shown(one: Metric, value: float, otherwise: str, sign: str = "") -> str:
-        size = scale(one)[1]
-        if not math.isfinite(value):
-            return otherwise
-        return shown_with_error(value / size, one.error / size, sign=sign)
-
-    columns: list[Column[Metric]] = [
-        text_column("quantity", lambda one: one.name),
-        number_column("orbit", lambda one: _seven(one.orbit / scale(one)[1])),
-        number_column(found.recording.label, lambda one: shown(one, one.data, "not resolved")),
-        number_column("difference", lambda one: shown(one, one.data - one.orbit, "-", "+")),
-        number_column("standard error", lambda one: _known(one.error / scale(one)[1], ".2g")),
-        text_column("unit", lambda one: scale(one)[0]),
-    ]
+    print_lines(comparison_lines(found))
     if found.metrics:
-        print_table(columns, found.metrics)
+        print_table(comparison_columns(found), found.metrics)
     print_lines(f"Note: {remark}." for remark in (*found.recording.remarks, *found.remarks))
-
-
-_NAMED = 4
-"""Differing quantities that are named."""
-
-
-def _verdict(found: Comparison) -> list[str]:
-    """Return the verdict in words."""
-    from zeno_orbits.experiment import ComparisonVerdict
-
-    if found.verdict is ComparisonVerdict.THIS_ORBIT:
-        return ["The recording shows this orbit: all quantities agree within their errors."]
-    kind = "a Zeno orbit" if found.is_zeno else "an orbit"
-    if found.verdict is ComparisonVerdict.NO_ORBIT:
-        why = (f"  {one}." for one in found.reasons)
-        return [f"The recording does not show {kind} of this machine:", *why]
-    named = [f"  {one.name} {_beside(one)}" for one in found.differences[:_NAMED]]
-    others = len(found.differences) - len(named)
-    values = [*named, *([f"  and {others} more"] if others else [])]
-    if found.verdict is ComparisonVerdict.UNDECIDED:
-        why = (f"  {one}." for one in found.unresolved)
-        if not values:
-            return [f"The recording cannot decide whether the machine moves on {kind}:", *why]
-        other = f"and cannot decide whether it shows {kind} of this machine with other values"
-        return ["The recording does not show this orbit:", *values, f"{other}:", *why]
-    return [f"The recording shows {kind} of this machine with other values:", *values]
-
-
-def _beside(one: Metric) -> str:
-    unit, size = prefixed(one.unit, one.orbit, one.data)
-    data = with_unit(shown_with_error(one.data / size, one.error / size), unit)
-    return f"{data} instead of {with_unit(_seven(one.orbit / size), unit)}"
-
-
-def _known(value: float, form: str, otherwise: str = "-") -> str:
-    return f"{value:{form}}" if math.isfinite(value) else otherwise
 
 
 def print_laws(found: LawComparison) -> None:
@@ -279,7 +219,7 @@ def print_identification(found: Identification, recording_remarks: Sequence[str]
         name_column("parameter", lambda one: one.unknown.label),
         number_column("start value", lambda one: f"{one.start:.6g}"),
         number_column("fitted", lambda one: f"{one.value:.7g}"),
-        text_column("standard error", lambda one: _known(one.error, ".2g", "not determined")),
+        text_column("standard error", lambda one: known(one.error, ".2g", "not determined")),
         text_column("95 % interval", _interval),
     ]
     print_table(columns, found.fitted)
@@ -343,9 +283,9 @@ def print_transient_comparison(found: TransientComparison) -> None:
     impacts: list[Column[ImpactDeviation]] = [
         name_column("trial", lambda one: one.trial),
         number_column("impact", lambda one: str(one.number)),
-        number_column("recorded [s]", lambda one: _known(one.recorded, ".6g", "not seen")),
+        number_column("recorded [s]", lambda one: known(one.recorded, ".6g", "not seen")),
         number_column("fitted [s]", lambda one: f"{one.fitted:.6g}"),
-        number_column("difference [ms]", lambda one: _known(1e3 * one.deviation, "+.3g")),
+        number_column("difference [ms]", lambda one: known(1e3 * one.deviation, "+.3g")),
     ]
     if found.impacts:
         print_table(impacts, found.impacts)
