@@ -76,6 +76,7 @@ def _subject(**parts: Any) -> Any:
         "trade": None,
         "pushes": None,
         "recovery": None,
+        "comparison": None,
         "problem_file": "",
         "file": "orbit.json",
         "command": ("zeno-orbits", "report"),
