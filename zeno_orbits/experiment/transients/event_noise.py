@@ -26,7 +26,7 @@ from zeno_orbits.simulation import Impact
 
 _LEAST, _LEAST_KNOWN = 4, 1
 """Events more than unknowns from which both variances are estimated, or the scatter alone."""
-_USUAL, _SPREAD = math.log(0.03), 1.2
+_USUAL, _SPREAD = math.log(0.05), 1.5
 """Logarithm of the scatter of real impacts, 1 to 10 %, and its spread."""
 _REACH, _HELD = 10.0, 1.001
 """Factors around a known jitter within which it is estimated, or held."""
