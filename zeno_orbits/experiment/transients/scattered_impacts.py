@@ -34,6 +34,8 @@ _ERROR = 0.3
 """First guess of the error of a seen impact, in sampling times."""
 _SCATTER = 0.15
 """Scatter of the ratio of two flights that is no evidence of a missed impact: a gap shows most."""
+_LARGEST = 0.25
+"""Scatter of no ball: the impacts were mistaken for others."""
 _ROUNDS = 4
 _SAME = 1e-3
 """Relative change of the noise at the end of the rounds."""
@@ -80,12 +82,15 @@ def mixed_fit(shooting: Shooting, found: StagedFit, noise: Sequence[Vector]) -> 
 def _converged(mixed: Shooting, found: StagedFit) -> MixedFit | None:
     """Return the fit with weights by its own noise, ``None`` if both variances are not known."""
     noise: EventNoise | None = None
+    noises = [one.noise for one in mixed.trials]
     for _ in range(_ROUNDS):
         told = event_noise(mixed, found.z, min(min(one.event_errors) for one in mixed.trials))
-        if told is None or not told[0].estimated:
+        if told is None or not told[0].estimated or told[0].scatter > _LARGEST:
             return None
         former, (noise, whitening) = noise, told
-        mixed = mixed.reweighted([one.noise for one in mixed.trials], whitening)
+        # The first flight may deviate from the model by more than the noise.
+        pairs = zip(noises, mixed.channel_noise(found.z), strict=True)
+        mixed = mixed.reweighted([np.maximum(a, b) for a, b in pairs], whitening)
         found = fitted(mixed, found.z)
         if former is not None and abs(noise.scatter / former.scatter - 1.0) < _SAME:
             break

@@ -8,6 +8,7 @@ and the event times after whitening by their covariance.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -227,6 +228,31 @@ class Shooting:
                 due = event_times(trial) <= found.horizon
                 rows.append(self.whitening[k][np.ix_(due, due)] @ found.by_events[due])
         return np.concatenate(rows)
+
+    def channel_noise(self, z: Vector) -> list[Vector]:
+        """Return the root mean square residual of each channel, over all trials that have it.
+
+        Args:
+            z: Unknowns, ``(n_z,)``.
+        """
+        rests: dict[str, list[Vector]] = {}
+        for k, trial in enumerate(self.trials):
+            found = self.predicted(k, z, math.inf)
+            if found is None:
+                return [one.noise for one in self.trials]
+            for s, name in enumerate(trial.measured.names):
+                rows = trial.seen[:, s]
+                rests.setdefault(name, []).append(found.signals[rows, s] - trial.values[rows, s])
+        sizes = {
+            name: math.sqrt(float(np.mean(np.concatenate(rows) ** 2))) if rows else 0.0
+            for name, rows in rests.items()
+        }
+        return [
+            np.array(
+                [max(sizes[name], 1e-3 * one.noise[s]) for s, name in enumerate(one.measured.names)]
+            )
+            for one in self.trials
+        ]
 
     def reweighted(self, noise: Sequence[Vector], whitening: Sequence[Vector]) -> Shooting:
         """Return the problem with other errors of samples and events."""

@@ -408,7 +408,7 @@ def _reweighted(
     has_events = any(one.n_events for one in shooting.trials)
     events: EventNoise | None = None
     for _ in range(_ROUNDS if has_events else 1):
-        own, whitening = _channel_noise(shooting, found.z), shooting.whitening
+        own, whitening = shooting.channel_noise(found.z), shooting.whitening
         if has_events:
             told = event_noise(shooting, found.z)
             if told is not None:
@@ -426,28 +426,6 @@ def _reweighted(
         shooting = other
         found = replace(again, agreed=found.agreed, starts=found.starts, others=found.others)
     return shooting, found, events
-
-
-def _channel_noise(shooting: Shooting, z: Vector) -> list[Vector]:
-    """Return the root mean square residual of each channel, over all trials that have it."""
-    rests: dict[str, list[Vector]] = {}
-    for k, trial in enumerate(shooting.trials):
-        found = shooting.predicted(k, z, math.inf)
-        if found is None:
-            return [one.noise for one in shooting.trials]
-        for s, name in enumerate(trial.measured.names):
-            rows = trial.seen[:, s]
-            rests.setdefault(name, []).append(found.signals[rows, s] - trial.values[rows, s])
-    sizes = {
-        name: math.sqrt(float(np.mean(np.concatenate(rows) ** 2))) if rows else 0.0
-        for name, rows in rests.items()
-    }
-    return [
-        np.array(
-            [max(sizes[name], 1e-3 * one.noise[s]) for s, name in enumerate(one.measured.names)]
-        )
-        for one in shooting.trials
-    ]
 
 
 def _described(
