@@ -90,7 +90,8 @@ def accelerations(one: Walker, first: int, angles: Vector, rates: Vector) -> Vec
     hip_rate = rates[0] - rates[1]
     drive = one.torque(angles[0] - angles[1], angles[0]) - one.viscous * hip_rate
     drive -= (one.dry - one.drop * abs(hip_rate)) * np.tanh(hip_rate / 0.05)
-    return np.linalg.solve(_mass(one, first, angles)[2:, 2:], force + drive * np.array([1.0, -1.0]))
+    inverse = np.asarray(np.linalg.inv(_mass(one, first, angles)[2:, 2:]), dtype=np.float64)
+    return inverse @ (force + float(drive) * np.array([1.0, -1.0]))
 
 
 def after_strike(one: Walker, first: int, angles: Vector, rates: Vector) -> Vector:

@@ -119,13 +119,10 @@ def _picture(subject: Subject) -> str:
     found = subject.comparison
     if found is None or found.deviations is None:
         return ""
-    from matplotlib import pyplot
-
     from zeno_orbits.report.plots import plot_comparison, rendered
 
     figure = plot_comparison(subject.problem, found)
     picture = base64.b64encode(rendered(figure, "svg")).decode()
-    pyplot.close(figure)
     return f"data:image/svg+xml;base64,{picture}"
 
 
