@@ -13,6 +13,7 @@ import casadi as ca
 
 from zeno_orbits import (
     Auxiliary,
+    Clock,
     CompletedSystem,
     Quantity,
     hybrid_system,
@@ -27,7 +28,7 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
     """Return the completed system: the states of `relay`."""
     armature, flux = RELAY.model(p).mechanism, ca.SX.sym("flux")
     opening, clock = armature.q, armature.clock
-    assert clock is not None
+    assert isinstance(clock, Clock)
     times = (p["t1"], p["t2"], clock.period / 2)
     voltage = piecewise(clock, (p["U"], 0, p["U"], 0), times)
     saturation = 1 - (flux / p["phi_s"]) ** 2

@@ -137,7 +137,7 @@ def require_states(
 def _forgotten(system: CompletedSystem, state_names: Sequence[str]) -> str:
     """Return the remedy if the formulas hold symbols that were to be states, or an empty text."""
     known = {system.state[k].element_hash() for k in range(system.state.numel())}
-    formulas = ca.veccat(*(getattr(system, name) for name in _FORMULAS))
+    formulas: ca.SX = ca.veccat(*(getattr(system, name) for name in _FORMULAS))
     strangers = {
         one.name() for one in _symbols_in(formulas) if one.element_hash() not in known
     } & set(state_names)

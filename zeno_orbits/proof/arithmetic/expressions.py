@@ -22,8 +22,6 @@ import casadi as ca
 
 from zeno_orbits.errors import SpeedLawError, TableProofError, TranslationError
 from zeno_orbits.integrators.lookups import called_table
-from zeno_orbits.model import CharacteristicScales, CompletedSystem, Problem
-from zeno_orbits.errors import SpeedLawError, TranslationError
 from zeno_orbits.model import CharacteristicScales, CompletedSystem, Problem, system_of_stop
 
 
