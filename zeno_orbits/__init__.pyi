@@ -142,7 +142,7 @@ from .search.objectives import MinEnergy as MinEnergy
 from .search.objectives import MinPeak as MinPeak
 from .report.exploration.explore import explore as explore
 from .search.objectives import MaxPush as MaxPush
-from .search.events.outcome import EventSearchResult as EventSearchResult
+from .search.outcome import EventSearchResult as EventSearchResult
 from .search.objectives import MinBounceTime as MinBounceTime
 from .search.objectives import MinImpactLoss as MinImpactLoss
 from .search.objectives import NearestGains as NearestGains

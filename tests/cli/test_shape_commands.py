@@ -165,4 +165,4 @@ def test_a_margin_that_a_shape_has_not_is_no_bound_for_it(
 ) -> None:
     words = ["search", "impact_oscillator", "--vary", "A=0.5:2", "--objective", "energy"]
     assert main([*words, "--bounds", "locked_time=0.1:"]) == 2
-    _one_line(capsys, "--bounds ", "`impact`", "`locked_time`")
+    _one_line(capsys, "--bounds ", "`impact stop`", "`locked_time`")

@@ -13,6 +13,7 @@ import pytest
 import zeno_orbits as zo
 from tests.reference.closed_forms import StoppedOscillator
 from tests.reference.reference_orbit import RELEASE
+from tests.support.releases import closed_at_release
 from zeno_orbits.continuation import (
     ContinuationSettings,
     Family,
@@ -33,8 +34,8 @@ from zeno_orbits.model import (
     hybrid_system,
     load_problem,
 )
-from zeno_orbits.orbits import ONE_ZENO, Orbit, poincare_map, release_section
-from zeno_orbits.search import closed_cycle, orbit_by_shooting, orbit_of
+from zeno_orbits.orbits import Orbit, poincare_map, release_section
+from zeno_orbits.search import event_orbit_of, orbit_by_shooting
 from zeno_orbits.simulation import SimulationSettings, simulate
 
 PENDULUM = load_problem("motor_pendulum")
@@ -153,11 +154,11 @@ def test_the_family_in_the_restitution_ends_where_simulations_stop_closing() -> 
         middle = (low + high) / 2
         try:
             machine = PENDULUM.graph_dynamics(PENDULUM.values(parameters={"restitution": middle}))
-            cycle = closed_cycle(machine, x, shape=ONE_ZENO, period=1.8, settings=SETTINGS)
+            found = closed_at_release(machine, x, period=1.8, settings=SETTINGS)
         except SimulationError:
             high = middle
         else:
-            low, x = middle, cycle.end.state
+            low, x = middle, found.end
     # Close to the end a return may fail to be resolved a little early: a lock of 1e-6 s is none.
     assert low - 1e-9 < family.last.at.value < high + 3e-9
 
@@ -309,14 +310,10 @@ def test_an_orbit_of_another_problem_and_one_that_does_not_close_are_refused() -
         family_of_orbit(PENDULUM, oscillator_orbit(), "Kd", (-2.0, 0.0))
     closing = orbit_by_shooting(PENDULUM, PENDULUM.values())
     orbit = closing.unwrap()
-    cycle = closed_cycle(
-        PENDULUM.graph_dynamics(PENDULUM.values()),
-        np.array(RELEASE),
-        shape=ONE_ZENO,
-        period=1.8,
-        settings=SETTINGS,
-    )
-    again = orbit_of(cycle, PENDULUM, PENDULUM.values())
+    values = PENDULUM.values()
+    graph = PENDULUM.graph_dynamics(values)
+    found = closed_at_release(graph, np.array(RELEASE), period=1.8, settings=SETTINGS)
+    again = event_orbit_of(PENDULUM, values, found)
     assert again.period == pytest.approx(orbit.period, abs=1e-10)
 
 

@@ -12,6 +12,7 @@ import zeno_orbits as zo
 from benchmarks import contact_fits
 from tests.support.cases import fast
 from tests.support.recordings_of import recorded
+from tests.support.releases import closed_at_release
 from zeno_orbits.experiment import (
     FitParameter,
     OrbitTable,
@@ -31,8 +32,8 @@ from zeno_orbits.experiment.identification.unknowns import begin_of, unknowns_of
 from zeno_orbits.experiment.orbit_table import measurement
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import Orbit, closed_return
-from zeno_orbits.search import closed_cycle, orbit_by_shooting, settled_return
+from zeno_orbits.orbits import Orbit, closed_return, cycle_of
+from zeno_orbits.search import orbit_by_shooting, settled_return
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import silent
 
@@ -237,13 +238,10 @@ def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
     cycle, settings = table.cycle, SimulationSettings()
 
     def closed(values: np.ndarray):
-        return closed_cycle(
-            problem.graph_dynamics(values),
-            cycle.start.state,
-            shape=cycle.shape,
-            period=cycle.period,
-            settings=settings,
-        )
+        graph = problem.graph_dynamics(values)
+        found = closed_at_release(graph, cycle.start.state, period=cycle.period, settings=settings)
+        until = 2 * found.period
+        return cycle_of(graph.first, found.start, cycle.shape, horizon=until, settings=settings)
 
     graph = problem.graph_dynamics(p)
     here = closed_return(

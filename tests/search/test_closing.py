@@ -32,7 +32,6 @@ from zeno_orbits.model import (
 )
 from zeno_orbits.orbits import (
     ONE_ZENO,
-    EventSequence,
     Orbit,
     cycle_of,
     orbit_multipliers,
@@ -43,11 +42,11 @@ from zeno_orbits.orbits import (
 from zeno_orbits.search import (
     OrbitNotClosedError,
     SearchStatus,
+    limits,
     orbit_at_gains,
     orbit_by_shooting,
     search_orbits,
 )
-from zeno_orbits.search import cycles as periods
 from zeno_orbits.simulation import SimulationSettings, Truncation, simulate
 from zeno_orbits.verification import VerificationSettings, verify
 
@@ -391,37 +390,13 @@ def test_a_period_goes_beyond_an_escape_on_either_side_and_on_any_arc(problem: P
         return SimpleNamespace(arcs=[SimpleNamespace(flow_states=flow) for flow in flows])
 
     def beyond(*places: tuple[float, float]) -> str:
-        return periods.beyond_limits(strict, of(*places).arcs)
+        return limits.beyond_limits(strict, of(*places).arcs)
 
     assert beyond((2.0, 3.0), (-2.0, -3.0)) == ""
     first = beyond((0.0, -3.25), (2.5, 0.0))
     assert first == "It falls off: `theta2` reaches 3.25, beyond 3"
     second = beyond((2.5, 3.0), (0.0, 0.0))
     assert second == "It swings: `theta1` reaches 2.5, beyond 2"
-
-
-def test_an_orbit_of_a_period_counts_its_times_from_its_start(problem: Problem) -> None:
-    shape = EventSequence.parsed("impact,plastic")
-    states = [k + np.arange(5.0) for k in range(8)]
-
-    def phase(k: int, zeno: Any) -> Any:
-        impact = SimpleNamespace(time=11.0 + k, state_minus=states[k + 2])
-        start = SimpleNamespace(time=10.0 + k, state=states[k])
-        return SimpleNamespace(kind=shape.phases[k], start=start, impacts=[impact], zeno=zeno)
-
-    held = SimpleNamespace(time=12.5, state=states[5])
-    cycle: Any = SimpleNamespace(
-        start=SimpleNamespace(time=10.0), period=4.0, phases=(phase(0, None), phase(1, held))
-    )
-    orbit = periods.orbit_of(cycle, problem, problem.values(gains={"Kp": 3.0}))
-    one, two = orbit.phases
-    assert (orbit.period, orbit.shape, orbit.gains["Kp"]) == (4.0, shape, 3.0)
-    assert (one.start_time, two.start_time) == (0.0, 1.0)
-    assert [*two.start_state.values()] == states[1].tolist()
-    assert [impact.time for impact in (*one.impacts, *two.impacts)] == [1.0, 2.0]
-    assert [*two.impacts[0].state_minus.values()] == states[3].tolist()
-    assert (one.zeno_time, one.zeno_state, two.zeno_time) == (None, None, 2.5)
-    assert two.zeno_state == dict(zip(problem.state_names, states[5], strict=True))
 
 
 def test_an_orbit_with_a_state_that_decays_to_nothing_is_closed() -> None:

@@ -12,9 +12,9 @@ import zeno_orbits as zo
 from zeno_orbits.orbits import EventCourse, EventQuantities, EventReturn
 from zeno_orbits.search import settled_return
 from zeno_orbits.search.program.elements import ElementBuilder, LegElement
+from zeno_orbits.search.program.ipopt import IpoptSettings, SolveStatus
 from zeno_orbits.search.program.terms import SearchTerms
 from zeno_orbits.search.program.writer import PeriodProgram, free_places, write_period
-from zeno_orbits.search.transcription.ipopt import IpoptSettings, SolveStatus
 
 
 def written(name: str, **ranges: tuple[float, float]) -> tuple[EventReturn, PeriodProgram]:

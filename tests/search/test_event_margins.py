@@ -198,7 +198,7 @@ def test_a_bound_that_no_orbit_keeps_is_answered_with_its_excess() -> None:
         "hopper", vary={"a": (5.0, 40.0)}, objective=zo.MaxMargin(), bounds=[bound]
     )
     assert found.orbit is None
-    assert "No orbit that keeps the bounds was found" in found.detail
+    assert "No orbit was found that keeps all bounds" in found.detail
 
 
 # The command.

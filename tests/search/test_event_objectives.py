@@ -408,12 +408,12 @@ def test_invalid_searches_are_refused(options: dict[str, Any], words: str) -> No
         _search(**{"objective": zo.MinEnergy(), **options})
 
 
-def test_a_machine_without_a_source_has_no_electrical_energy() -> None:
+def test_a_machine_without_a_source_has_no_energy_to_save() -> None:
     for options in (
         {"objective": zo.MinEnergy()},
         {"bounds": [zo.Bound(name="energy", upper=1.0)]},
     ):
-        with pytest.raises(zo.InputError, match="no source of electrical energy"):
+        with pytest.raises(zo.InputError, match="no source of energy"):
             zo.search_event_gains("hopper", vary={"a": (10.0, 30.0)}, **options)
 
 

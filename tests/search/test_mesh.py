@@ -10,7 +10,7 @@ import pytest
 
 from zeno_orbits.arrays import Array
 from zeno_orbits.integrators import Collocation, radau_scheme
-from zeno_orbits.search.transcription.mesh import graded_mesh, stage_fractions
+from zeno_orbits.search.program.mesh import graded_mesh, stage_fractions
 
 ROUNDING = 1e-13
 

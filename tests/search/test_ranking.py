@@ -229,7 +229,4 @@ def test_an_accuracy_asks_for_a_mesh_a_closure_and_an_agreement_of_its_own_size(
 def test_a_search_is_limited_by_numbers_and_not_by_time_where_nothing_is_said() -> None:
     usual = SearchSettings()
     assert (usual.n_starts, usual.candidates, usual.seed, usual.rounds) == (12, 1, 0, 4)
-    assert (usual.first_step, usual.smallest_step, usual.agreement) == (0.03, 0.003, 3e-10)
-    assert usual.ipopt.most_iterations == 60
-    # Thirty years.
-    assert usual.ipopt.most_seconds == 1e9
+    assert usual.agreement == 3e-10

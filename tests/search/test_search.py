@@ -22,7 +22,6 @@ from zeno_orbits.model import Problem, load_problem, load_reference
 from zeno_orbits.orbits import ONE_ZENO, Orbit
 from zeno_orbits.search import (
     MinEnergy,
-    MinSpectralRadius,
     NearestGains,
     OrbitNotFoundError,
     SearchResult,
@@ -94,20 +93,18 @@ def test_a_search_reports_how_well_it_did(found: SearchResult) -> None:
     assert [attempt.status for attempt in found.attempts] == [SearchStatus.FOUND]
 
 
-def test_the_agreement_of_a_coarse_program_is_at_least_its_distance_from_a_simulation(
-    problem: Problem,
-) -> None:
+def test_a_finer_mesh_of_the_program_agrees_better(problem: Problem) -> None:
     usual = SearchSettings()
-    mesh = replace(usual.transcription, mesh_tolerance=1e-2)
-    coarse = replace(usual, agreement=1.0, rounds=1, transcription=mesh)
-    found = orbit_at_gains(problem, problem.values(), settings=coarse)
-    orbit, machine = found.unwrap(), problem.dynamics(problem.values())
-    start = problem.state_vector(orbit.release_state)
-    run = simulate(machine, start, until=2 * orbit.period, releases=1)
-    pairs = [(run.releases[0].time, orbit.period), (run.zeno_points[0].time, orbit.zeno_time)]
-    pairs += [(a.time, b.time) for a, b in zip(run.impacts, orbit.impacts, strict=False)]
-    distance = max(abs(true - said) for true, said in pairs) / orbit.period
-    assert 1e-6 < distance <= found.agreement < 1e-2
+    seen: list[float] = []
+    for tolerance in (1e-2, 1e-4, 1e-6):
+        mesh = replace(usual.transcription, mesh_tolerance=tolerance)
+        loose = replace(usual, agreement=1.0, rounds=1, transcription=mesh)
+        found = orbit_at_gains(problem, problem.values(), settings=loose)
+        # The orbit is that of the simulation at every mesh.
+        assert found.unwrap().period == pytest.approx(PERIOD, abs=ACCURACY)
+        seen.append(found.agreement)
+    assert 1e-6 < seen[0] < 1e-2
+    assert seen[2] < 1e-2 * seen[1] < 1e-4 * seen[0] * 100
 
 
 @pytest.mark.parametrize(("restitution", "period"), fast(2, list(PERIODS.items())))
@@ -326,58 +323,20 @@ def test_a_target_of_a_gain_that_the_problem_does_not_have_is_refused(problem: P
 
 
 @pytest.mark.slow
-def test_an_agreement_that_cannot_be_had_ends_the_search() -> None:
-    # Program and simulation never agree beyond rounding; the wanted value itself is met.
-    settings = SearchSettings(n_starts=0, rounds=1, agreement=1e-17, smallest_step=0.03)
-    pendulum = load_problem("motor_pendulum")
-    result = search_orbits(
-        pendulum,
-        pendulum.values(),
-        free={"Kd": (-1.2, -0.8)},
-        objective=TargetPeriod(target=1.81),
-        settings=settings,
-    )
-    assert result.status is SearchStatus.NOT_SOLVED
-    assert "differ by" in result.detail
-
-
-HASTY = replace(SearchSettings().ipopt, most_iterations=3, most_seconds=1e9)
-"""Three iterations close an orbit at fixed numbers, and move numbers a little, not all the way."""
-
-
-@pytest.mark.slow
 def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost() -> None:
     pendulum = load_problem("motor_pendulum")
-    # At Kd = 0.5 the motion dies out, so orbits are followed toward it, up to where they end.
+    # At Kd = 0.5 the motion dies out. The linearized pendulum neither grows nor shrinks at -0.1864.
     result = search_orbits(
         pendulum,
         pendulum.values(gains={"Kd": 0.5}),
         free={"Kp": (2.0, 3.0), "Kd": (-1.2, 0.6)},
-        settings=SearchSettings(n_starts=4, ipopt=HASTY),
+        settings=SearchSettings(n_starts=4),
     )
     assert result.status is SearchStatus.FOUND
-    assert "The way to gains near Kp = 2.5, Kd = 0.5 was lost" in result.detail
-    assert verify(result.unwrap(), pendulum).passed
-
-
-@pytest.mark.slow
-def test_the_last_orbit_on_the_way_to_an_optimum_is_kept_where_the_way_is_lost() -> None:
-    pendulum = load_problem("motor_pendulum")
-    values = pendulum.values(gains={"Kd": -1.2})
-    result = search_orbits(
-        pendulum,
-        values,
-        free={"Kp": (2.2, 3.0), "Kd": (-1.2, -0.9)},
-        objective=MinSpectralRadius(),
-        settings=SearchSettings(n_starts=0, ipopt=HASTY),
-    )
-    assert "The way to the fastest contraction was lost" in result.detail
     found = result.unwrap()
     assert verify(found, pendulum).passed
-    # The steps that were taken count: the orbit attracts faster than that at the start.
-    start = orbit_at_gains(pendulum, values).unwrap()
-    radius = [verify(one, pendulum).spectral_radius for one in (found, start)]
-    assert radius[0] < radius[1]
+    assert "the amplitude is zero" in result.detail
+    assert -0.25 < found.gains["Kd"] < -0.1
 
 
 @pytest.mark.parametrize("wanted", [1e-12, 1e-10, 1e-6, 1e-2])

@@ -1,4 +1,5 @@
 from .approach import Accuracy as Accuracy
+from .attractors import ORBITS as ORBITS
 from .attractors import Attractor as Attractor
 from .attractors import AttractorClass as AttractorClass
 from .classify import attractors_at as attractors_at

@@ -19,7 +19,7 @@ from .events.return_map import derivative_of_return as derivative_of_return
 from .events.courses import ENERGY as ENERGY
 from .events.courses import EventCourse as EventCourse
 from .events.courses import course_signal_names as course_signal_names
-from .events.courses import is_electrical as is_electrical
+from .events.courses import has_source as has_source
 from .events.named_map import ReturnMap as ReturnMap
 from .events.named_map import ReturnSlopes as ReturnSlopes
 from .events.named_map import return_map_of as return_map_of

@@ -15,9 +15,18 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
-from zeno_orbits.orbits import ONE_ZENO, Cycle
-from zeno_orbits.search import closed_cycle, orbit_at_gains
-from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.orbits import (
+    ONE_ZENO,
+    EventReturn,
+    SectionMode,
+    closed_return,
+    events_of_shape,
+    largest_states,
+    orbit_event_name,
+    sequence_of,
+)
+from zeno_orbits.search import orbit_at_gains
+from zeno_orbits.simulation import Impact, Mode, SimulationSettings, ZenoPoint
 
 QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
 """Names with which a problem declares the two reduced models."""
@@ -100,8 +109,8 @@ def errors_of_reduced_models(
     release = np.array(quasi_static.state_vector(orbit.release_state))
     machine, full = _dynamics(quasi_static, values), _dynamics(problem, values)
     static = orbit_near(quasi_static, values, release, period)
-    better = orbit_near(reduced[CORRECTED], values, static.start.state, period)
-    truth = orbit_near(problem, values, better.start.state, period) if measure else None
+    better = orbit_near(reduced[CORRECTED], values, static.start, period)
+    truth = orbit_near(problem, values, better.start, period) if measure else None
     layer, rate = layer_time(full, release), _rate(machine, static)
     first = landmark_errors(static, better)
     second = {name: error * layer * rate for name, error in first.items()}
@@ -122,7 +131,9 @@ def errors_of_reduced_models(
     }
 
 
-def orbit_near(problem: Problem, values: ParameterValues, release: Vector, period: float) -> Cycle:
+def orbit_near(
+    problem: Problem, values: ParameterValues, release: Vector, period: float
+) -> EventReturn:
     """Return the periodic orbit of a problem near a release state of another fidelity.
 
     Currents that the other fidelity does not have start at rest, with zero rate.
@@ -138,36 +149,52 @@ def orbit_near(problem: Problem, values: ParameterValues, release: Vector, perio
     """
     graph = problem.graph_dynamics(problem.shared(values))
     x = np.concatenate([release, _resting_current(graph.first, release)])
+    sequence = events_of_shape(ONE_ZENO)
     try:
-        return closed_cycle(graph, x, shape=ONE_ZENO, period=period, settings=SimulationSettings())
+        found = closed_return(
+            graph,
+            x,
+            section=sequence[-1],
+            n_returns=1,
+            guess=period,
+            settings=SimulationSettings(),
+            by_returns=True,
+            mode=SectionMode(closed=(), sides=(), stop="", released="stop"),
+        )
+        events = sequence_of([orbit_event_name(event) for event in found.events])
+        if events == sequence:
+            return found
+        reason = f"it has the events `{', '.join(events)}`"
     except SimulationError as error:
-        raise SimulationError(
-            f"The reduced model lacks an orbit near the orbit of the full model: {error.reason}",
-            time=period,
-            state=tuple(x.tolist()),
-        ) from error
+        reason = error.reason
+    raise SimulationError(
+        f"The reduced model lacks an orbit near the orbit of the full model: {reason}",
+        time=period,
+        state=tuple(x.tolist()),
+    )
 
 
-def landmark_errors(reduced: Cycle, other: Cycle) -> dict[str, float]:
+def landmark_errors(reduced: EventReturn, other: EventReturn) -> dict[str, float]:
     """Return the relative differences by landmark, over the states of the reduced model.
 
     After a plastic impact, `e = 0`, the Zeno point is at the start of the current's boundary layer.
     In a reduced model it is after the layer. So ``zeno_state`` is then omitted.
     """
-    n, period = len(reduced.start.state), other.period
-    scale = other.scale()[:n]
+    n, period = len(reduced.start), other.period
+    scale = largest_states(other.arcs, other.differentiation.graph)[:n]
 
     def apart(a: Vector, b: Vector) -> float:
         return float(np.max(np.abs(a - b[:n]) / scale))
 
+    zenos = _zeno_point(reduced), _zeno_point(other)
     errors = {
         "period": abs(reduced.period - period) / period,
         "first_impact": abs(_first_impact(reduced) - _first_impact(other)) / period,
-        "zeno_time": abs(_zeno_time(reduced) - _zeno_time(other)) / period,
-        "release": apart(reduced.start.state, other.start.state),
-        "zeno_state": apart(reduced.zeno.state, other.zeno.state),
+        "zeno_time": abs(zenos[0].time - zenos[1].time) / period,
+        "release": apart(reduced.start, other.start),
+        "zeno_state": apart(np.asarray(zenos[0].state), np.asarray(zenos[1].state)),
     }
-    if min(reduced.zeno.last_speed, other.zeno.last_speed) == 0.0:
+    if min(one.last_speed for one in zenos) == 0.0:
         del errors["zeno_state"]
     return errors
 
@@ -206,11 +233,14 @@ def _current_rates(dynamics: HybridDynamics, release: Vector) -> tuple[Vector, V
     return rates, np.stack(columns, axis=1) if columns else np.zeros((0, 0))
 
 
-def _rate(dynamics: HybridDynamics, cycle: Cycle) -> float:
+def _rate(dynamics: HybridDynamics, found: EventReturn) -> float:
     """Return the largest acceleration of a coordinate divided by its largest speed [1/s]."""
     n_q = dynamics.n_q
     speeds, accelerations = np.zeros(n_q), np.zeros(n_q)
-    for arc, flow in ((cycle.flight, dynamics.free), (cycle.locked, dynamics.locked)):
+    # Impacts that accumulate change velocities by jumps, not by accelerations.
+    plain = [arc for arc in found.arcs if arc.trajectory is not None and not arc.stop]
+    for arc in plain:
+        flow = dynamics.locked if arc.mode is Mode.LOCKED else dynamics.free
         for time in np.linspace(arc.start_time, arc.end_time, 65):
             x = arc.state_at(float(time))
             speeds = np.maximum(speeds, np.abs(x[n_q : 2 * n_q]))
@@ -222,9 +252,9 @@ def _dynamics(problem: Problem, values: ParameterValues) -> HybridDynamics:
     return problem.dynamics(problem.shared(values))
 
 
-def _first_impact(cycle: Cycle) -> float:
-    return cycle.impacts[0].time - cycle.start.time
+def _first_impact(found: EventReturn) -> float:
+    return next(event.time for event in found.events if isinstance(event, Impact))
 
 
-def _zeno_time(cycle: Cycle) -> float:
-    return cycle.zeno.time - cycle.start.time
+def _zeno_point(found: EventReturn) -> ZenoPoint:
+    return next(event for event in found.events if isinstance(event, ZenoPoint))

@@ -4,11 +4,7 @@ from .closing import orbit_by_shooting as orbit_by_shooting
 from .closing import event_orbit_of as event_orbit_of
 from .closing import settled_event_orbit as settled_event_orbit
 from .closing import settled_return as settled_return
-from .cycles import closed_cycle as closed_cycle
-from .cycles import orbit_of as orbit_of
-from .events.outcome import EventCandidate as EventCandidate
-from .events.outcome import EventSearchResult as EventSearchResult
-from .events.gains import search_event_orbits as search_event_orbits
+from .event_search import search_event_orbits as search_event_orbits
 from .multistart import StartWorkers as StartWorkers
 from .number_notes import at_ends as at_ends
 from .number_notes import free_gains as free_gains
@@ -30,6 +26,8 @@ from .objectives import OBJECTIVES as OBJECTIVES
 from .objectives import ObjectiveWord as ObjectiveWord
 from .objectives import Operand as Operand
 from .outcome import Candidate as Candidate
+from .outcome import EventCandidate as EventCandidate
+from .outcome import EventSearchResult as EventSearchResult
 from .outcome import Verdict as Verdict
 from .outcome import OrbitNotFoundError as OrbitNotFoundError
 from .outcome import SearchResult as SearchResult
@@ -43,4 +41,4 @@ from .settings import SearchSettings as SearchSettings
 from .settings import TransientSettings as TransientSettings
 from .settings import SearchMethod as SearchMethod
 from .settings import SearchStatus as SearchStatus
-from .transcription.arc import TranscriptionSettings as TranscriptionSettings
+from .program.writer import TranscriptionSettings as TranscriptionSettings

@@ -29,8 +29,8 @@ from zeno_orbits.orbits import (
     orbit_of_events,
     shape_of_events,
 )
-from zeno_orbits.search.cycles import beyond_limits, named
-from zeno_orbits.search.homotopy.line import LinePoint, follow_line, values_on_line
+from zeno_orbits.search.limits import beyond_limits, named
+from zeno_orbits.search.line import LinePoint, follow_line, values_on_line
 from zeno_orbits.search.settling import Wanted, settled_from
 from zeno_orbits.simulation import SimulationSettings, state_after, state_before
 from zeno_orbits.work import Progress, silent
@@ -253,9 +253,7 @@ def return_near(
     settings, own = simulation or SimulationSettings(), near.values(problem)
     on_progress("closing the known orbit", None)
 
-    def closed(
-        part: float, x: Vector, last: LinePoint[EventReturn] | None
-    ) -> LinePoint[EventReturn]:
+    def closed(part: float, x: Vector, last: LinePoint | None) -> LinePoint:
         found = closed_return(
             problem.graph_dynamics(values_on_line(own, values, part)),
             x,

@@ -13,16 +13,15 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.maps import Attractor, attractors_at
+from zeno_orbits.maps import ORBITS, Attractor, attractors_at
 from zeno_orbits.model import (
     GraphDynamics,
-    HybridDynamics,
     ParameterValues,
     Problem,
-    graph_of,
 )
-from zeno_orbits.orbits import Cycle, Orbit
-from zeno_orbits.search.scan import ACCURACY, PHASE, cycle_at, is_of_shape
+from zeno_orbits.orbits import EventReturn, Orbit
+from zeno_orbits.search.closing import settled_return
+from zeno_orbits.search.scan import ACCURACY
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation import Execution, simulate
 
@@ -36,41 +35,41 @@ _SAME = 1e-3
 """Two attractors are the same if their first states differ by less, in units of the box."""
 
 
-def coexisting_cycles(search: SearchProblem, orbit: Orbit) -> list[Cycle]:
-    """Return a period of each attractor at the values of an orbit, possibly including this orbit.
+def coexisting_orbits(search: SearchProblem, orbit: Orbit) -> list[EventReturn]:
+    """Return each attractor at the values of an orbit, possibly including this orbit.
 
     Args:
         search: The search, with its problem, shape and time limit.
         orbit: The orbit.
 
     Returns:
-        Periods in the order in which the initial states led to them. Attractors that are not
+        Orbits in the order in which the initial states led to them. Attractors that are not
         periodic orbits of the requested shape are omitted.
     """
     problem, values = search.problem, orbit.values(search.problem)
-    found = coexisting_attractors(
+    attractors = coexisting_attractors(
         problem,
         values,
-        problem.dynamics(values),
+        problem.graph_dynamics(values),
         orbit,
         until=search.settings.settling.horizon,
         seed=search.settings.seed,
     )
-    cycles: list[Cycle] = []
-    for one in found:
-        if search.shape is not None and not is_of_shape(one, search.shape):
-            continue
+    found: list[EventReturn] = []
+    for one in attractors:
         try:
-            cycles.append(cycle_at(search, values, one))
+            settled = settled_return(problem, values, starts=(one.state,), shape=search.shape)
         except ZenoOrbitsError:
+            # The approximate attractor of a short simulation may be none.
             continue
-    return cycles
+        found.append(settled)
+    return found
 
 
 def coexisting_attractors(
     problem: Problem,
     values: ParameterValues,
-    system: HybridDynamics | GraphDynamics,
+    graph: GraphDynamics,
     orbit: Orbit,
     *,
     until: float | None,
@@ -81,7 +80,7 @@ def coexisting_attractors(
     Args:
         problem: The problem.
         values: Its parameter values.
-        system: The system at these values.
+        graph: The graph of modes at these values.
         orbit: The orbit.
         until: Longest simulated time [s].
         seed: Seed of the initial states.
@@ -90,15 +89,13 @@ def coexisting_attractors(
         Attractors in the order in which the initial states led to them.
     """
     start = np.array(problem.state_vector(orbit.start_state))
-    first = graph_of(system).first
+    first = graph.first
     if first.holonomic(start).size > bool(first.clock):
         # If a mechanism has constraints of its own, its states cannot be sampled from a box.
         return []
-    low, high = _box(
-        simulate(system, start, until=orbit.period, past=orbit.past_switch), start.size
-    )
+    low, high = _box(simulate(graph, start, until=orbit.period, past=orbit.past_switch), start.size)
     found: list[Attractor] = []
-    for state in _states(system, low, high, seed):
+    for state in _states(graph, low, high, seed):
         one = _attractor(problem, values, state, until)
         if one is not None and not any(_alike(problem, one, other, high - low) for other in found):
             found.append(one)
@@ -114,7 +111,7 @@ def _attractor(
         (one,) = attractors_at(problem, [values], start=start, until=until, accuracy=ACCURACY)
     except ZenoOrbitsError:
         return None
-    return one if one.fate in PHASE and one.state else None
+    return one if one.fate in ORBITS and one.state else None
 
 
 def _alike(problem: Problem, one: Attractor, other: Attractor, widths: Vector) -> bool:
@@ -139,17 +136,15 @@ def _box(run: Execution, n_x: int) -> tuple[Vector, Vector]:
     return low - wider, high + wider
 
 
-def _is_off_the_stops(system: HybridDynamics | GraphDynamics, state: Vector) -> bool:
-    return all(view.gap(state) > 0.0 for view in graph_of(system).open_views)
+def _is_off_the_stops(graph: GraphDynamics, state: Vector) -> bool:
+    return all(view.gap(state) > 0.0 for view in graph.open_views)
 
 
-def _states(
-    system: HybridDynamics | GraphDynamics, low: Vector, high: Vector, seed: int
-) -> Iterator[Vector]:
+def _states(graph: GraphDynamics, low: Vector, high: Vector, seed: int) -> Iterator[Vector]:
     """Yield states of a box that are not in contact, with the clock on its unit circle."""
     from scipy.stats import qmc
 
-    clock = graph_of(system).first.clock
+    clock = graph.first.clock
     n_found = 0
     for place in qmc.Halton(low.size, seed=seed).random(_MOST_DRAWN):
         state = low + place * (high - low)
@@ -157,7 +152,7 @@ def _states(
             cosine, sine = clock
             angle = 2 * math.pi * place[cosine]
             state[cosine], state[sine] = math.cos(angle), math.sin(angle)
-        if not _is_off_the_stops(system, state):
+        if not _is_off_the_stops(graph, state):
             continue
         n_found += 1
         yield state

@@ -1,8 +1,7 @@
 """Objectives of a search with free values: one class per objective.
 
-Each objective adds its rows to a program and returns the cost to minimise. An objective that
-prescribes a property keeps the free values near their start, each in units of its own size, so that
-the solution is unique. The result is measured on a simulation.
+An objective that prescribes a property keeps the free values near their start, each in units of its
+own size, so that the solution is unique. The result is measured on a simulation.
 
 To add an objective, add a class here and a row to `OBJECTIVES`, the words of the command line.
 """
@@ -22,12 +21,8 @@ from zeno_orbits.work import Checked, require_kinds
 
 if TYPE_CHECKING:
     # The help and the error messages of the command line need the words, not CasADi.
-    import casadi as ca
-
     from zeno_orbits.model import Problem
-    from zeno_orbits.orbits import Cycle
-    from zeno_orbits.search.transcription.nearness import Nearness
-    from zeno_orbits.search.transcription.transcribe import OrbitTerms
+    from zeno_orbits.search.nearness import Nearness
     from zeno_orbits.simulation import Extent
 
 LEAST_RADIUS = 1e-4
@@ -63,10 +58,6 @@ class Objective(ABC):
     def least(self) -> float:
         """Lower bound of the score."""
         return -math.inf
-
-    @abstractmethod
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Add rows to the program of an orbit and return the cost to minimise."""
 
     @property
     def goal(self) -> Mapping[str, float]:
@@ -156,10 +147,6 @@ class NearestGains(Objective, Checked):
         wanted = ", ".join(f"{name} = {value:g}" for name, value in self.target.items())
         return f"gains near {wanted}" if wanted else "gains near the start"
 
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return half the squared distance of the free values from the target."""
-        return terms.nearness.distance(terms.free, self.goal)
-
     @property
     def goal(self) -> Mapping[str, float]:
         """The target."""
@@ -192,23 +179,6 @@ class Target(Objective):
         """Refuse a target of a wrong kind. `check` refuses values without a meaning."""
         require_kinds(self)
 
-    @abstractmethod
-    def value(self, terms: OrbitTerms) -> ca.MX:
-        """Return the quantity in the unknowns of the program."""
-
-    @abstractmethod
-    def measured(self, cycle: Cycle) -> float:
-        """Return the quantity of a simulated cycle."""
-
-    def miss(self, cycle: Cycle) -> float:
-        """Return the relative distance of a simulated cycle from the target."""
-        return abs(self.measured(cycle) - self.target) / self.target
-
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Require the value. Return the squared distance of the free values from their start."""
-        terms.program.equal(self.wish, self.value(terms) - self.target)
-        return terms.nearness.distance(terms.free, self.goal)
-
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject a target that is not positive."""
         del problem, free
@@ -225,14 +195,6 @@ class TargetPeriod(Target):
     def wish(self) -> str:
         """The objective in words."""
         return f"a period of {self.target:.10g} s"
-
-    def value(self, terms: OrbitTerms) -> ca.MX:
-        """Return the period [s]."""
-        return terms.period
-
-    def measured(self, cycle: Cycle) -> float:
-        """Return the period of a simulated cycle [s]."""
-        return cycle.period
 
     def is_far_from(self, period: float) -> bool:
         """Return True if a period or time scale [s] differs by more than a factor of 100."""
@@ -275,48 +237,12 @@ class TargetAmplitude(Target):
         """The objective in words."""
         return f"an amplitude of {self.target:.10g} of {self.state}"
 
-    def value(self, terms: OrbitTerms) -> ca.MX:
-        """Return the amplitude, in the unit of the state."""
-        from zeno_orbits.search.transcription.constraints import extreme
-
-        index = terms.state_names.index(self.state)
-        return (extreme(terms, index, 1.0) - extreme(terms, index, -1.0)) / 2
-
-    def measured(self, cycle: Cycle) -> float:
-        """Return the amplitude of a simulated cycle."""
-        from zeno_orbits.simulation import extent_of
-
-        index = cycle.state_names.index(self.state)
-        extent = extent_of(lambda x: float(x[index]), cycle.arcs)
-        return (extent.highest - extent.lowest) / 2
-
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject an unknown state and a target that is not positive."""
         if self.state not in problem.state_names:
             wanted = f"must name a state ({', '.join(problem.state_names)})"
             raise InputError(f"Argument `objective` {wanted}, but it names `{self.state}`.")
         Target.check(self, problem, free)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TowardTarget(Objective):
-    """An orbit as near as possible to a target, for the steps toward the target.
-
-    Attributes:
-        target: The target.
-    """
-
-    target: Target
-
-    @property
-    def wish(self) -> str:
-        """The objective in words."""
-        return f"{self.target.wish}, or near it"
-
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return half the squared relative distance from the target."""
-        wanted = self.target.target
-        return ((self.target.value(terms) - wanted) / wanted) ** 2 / 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -332,11 +258,6 @@ class MinEnergy(WorstCase):
     def quantities(self) -> tuple[str, ...]:
         """The electrical work."""
         return ("energy",)
-
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return the electrical work of one period, in units of the guess's work."""
-        size = abs(float(terms.guessed(terms.electrical_work)[0, 0]))
-        return terms.electrical_work / (size or 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -360,15 +281,6 @@ class MinPeak(WorstCase):
     def quantities(self) -> tuple[str, ...]:
         """The signal."""
         return (self.signal,)
-
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return an unknown that bounds the signal everywhere, in units of its size."""
-        from zeno_orbits.search.transcription.constraints import largest
-        from zeno_orbits.simulation import signal
-
-        quantity = signal(terms.compiled, self.signal)
-        peak = largest(terms, quantity, terms.arcs, f"peak of {self.signal}")
-        return peak / (float(terms.guessed(peak)[0, 0]) or 1.0)
 
     def rank(self, extent: Extent) -> float:
         """Return the peak, in the unit of the signal."""
@@ -407,19 +319,6 @@ class MinSpectralRadius(Objective):
         """A radius that counts as zero."""
         return LEAST_RADIUS
 
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return an unknown that bounds the modulus of all multipliers (theory (5.2))."""
-        from zeno_orbits.search.transcription.spectral_radius import keep_radius_below, radius_of
-
-        if terms.return_slope is None:
-            raise ValueError("Argument `terms` lacks the return map.")
-        first = radius_of(terms.guessed(terms.return_slope))
-        radius = terms.program.variable(
-            "spectral radius", 1.01 * max(first, LEAST_RADIUS), lower=LEAST_RADIUS
-        )[0, 0]
-        keep_radius_below(terms.program, terms.return_slope, radius)
-        return radius
-
     def rank(self, extent: Extent) -> float:
         """Return the spectral radius, or `LEAST_RADIUS` if that is larger."""
         return max(extent.highest, LEAST_RADIUS)
@@ -433,13 +332,6 @@ class Sampled(Objective):
     def is_sampled(self) -> bool:
         """True."""
         return True
-
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return the squared distance of the free values from their start.
-
-        The quantity is not part of a program.
-        """
-        return terms.nearness.distance(terms.free, self.goal)
 
     def rank(self, extent: Extent) -> float:
         """Return minus the quantity."""

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from zeno_orbits.arrays import Array
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.maps import Push
 from zeno_orbits.model import ParameterValues
-from zeno_orbits.orbits import Cycle, Orbit
-from zeno_orbits.search.settings import SearchStatus
+from zeno_orbits.orbits import Bound, EventReturn, Orbit
+from zeno_orbits.search.objectives import MaxMargin, MaxPush, Objective
+from zeno_orbits.search.search_problem import listed
+from zeno_orbits.search.settings import SearchMethod, SearchStatus
 from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import OrbitCertificate
 from zeno_orbits.work import Columns, TableRepr, by_name
@@ -66,22 +70,18 @@ class Candidate(Accepted):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SimulatedSolution:
-    """A solution of a program and its simulated period.
+class SimulatedOrbit:
+    """An orbit of a start, closed by simulation.
 
     Attributes:
-        values: Gains and parameters of the solution.
-        cycle: The period.
-        unknowns: Name of each block of unknowns and each report to its values.
-        orbit: The orbit, if program and simulation agree.
-        excesses: Name to the excess of the period over a bound.
+        values: Its gains and parameters.
+        found: The periodic return.
+        orbit: The same as an orbit, not verified.
     """
 
     values: ParameterValues
-    cycle: Cycle
-    unknowns: Mapping[str, Array]
-    orbit: Orbit | None
-    excesses: Mapping[str, float]
+    found: EventReturn
+    orbit: Orbit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,8 +102,8 @@ class StartOutcome:
         solve_time: Wall time in Ipopt for the program [s].
         shortfall: Remaining distance from a target, or violation of the bounds in units of their
             sizes.
-        solution: The simulated solution of the program, if available. Other processes
-            do not receive it.
+        solution: The simulated orbit, if there is one. Other processes do not receive it.
+        is_last: True if the orbit is the last one before the end of a family.
         candidate: The orbit with its measured quantities, if it was accepted.
     """
 
@@ -119,7 +119,8 @@ class StartOutcome:
     iterations: int = 0
     solve_time: float = 0.0
     shortfall: float = np.inf
-    solution: SimulatedSolution | None = None
+    solution: SimulatedOrbit | None = None
+    is_last: bool = False
     candidate: Candidate | None = None
 
 
@@ -222,3 +223,113 @@ class OrbitNotFoundError(ZenoOrbitsError):
     def __init__(self, result: SearchResult) -> None:
         super().__init__(f"{result.status.value} {result.detail}".strip())
         self.result = result
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventCandidate(Accepted):
+    """An accepted orbit of events."""
+
+    orbit: Orbit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventSearchResult:
+    """The best orbit of events in given ranges, or why there is none.
+
+    Attributes:
+        orbit: The orbit, or ``None``.
+        free: Name to free value at the end of the search.
+        objective: The objective.
+        value: The objective at the search's own parameters.
+        worst: The objective at the worst corner, or at the search's own parameters.
+        worst_at: Name to value of the uncertain parameters there, empty at the search's own.
+        mean: Mean of the objective over the corners, ``None`` without uncertain parameters.
+        asked: The bounds with the ranges that the orbit reaches.
+        vanishing: Speed of each impact that vanishes at the end of the search, by its stop.
+        least_speeds: Bounds that keep a tenth of the first speeds of these impacts.
+        n_orbits: Number of orbits that were closed.
+        push: The least push at the worst corner, if the objective is the largest one.
+        certificate: Certificate of the orbit, ``None`` without a check.
+        detail: Reason why there is no orbit, or why the search ended early.
+        candidates: The accepted orbits, the best first, if several were requested.
+        attempts: Every start, in order, if several orbits were requested.
+        n_states: Number of initial states in the search for other attractors at the best values.
+        method: The method that found the optimum. Never `SearchMethod.AUTO`.
+        iterations: Number of iterations of Ipopt.
+        remarks: What one method says about the optimum of the other one, as sentences.
+    """
+
+    orbit: Orbit | None
+    free: Mapping[str, float] = field(default_factory=dict[str, float])
+    objective: Objective
+    value: float = math.nan
+    worst: float = math.nan
+    worst_at: Mapping[str, float] = field(default_factory=dict[str, float])
+    mean: float | None = None
+    asked: tuple[Mapping[str, Any], ...] = ()
+    vanishing: Mapping[str, float] = field(default_factory=dict[str, float])
+    least_speeds: tuple[Bound, ...] = ()
+    n_orbits: int = 0
+    push: Push | None = None
+    certificate: OrbitCertificate | None = None
+    detail: str = ""
+    candidates: tuple[EventCandidate, ...] = ()
+    attempts: tuple[StartAttempt, ...] = ()
+    n_states: int = 0
+    method: SearchMethod = SearchMethod.SHOOTING
+    iterations: int = 0
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def is_measured(self) -> bool:
+        """True if the objective is a quantity of the orbit, and not a distance of values."""
+        return bool(self.objective.is_sampled or self.objective.quantities)
+
+    @property
+    def score(self) -> float:
+        """Score of the orbit. A lower score is better."""
+        is_maximized = isinstance(self.objective, MaxPush | MaxMargin)
+        return -self.worst if is_maximized else self.worst
+
+    @property
+    def told_push(self) -> str:
+        """The least push, where it occurs and the motion beyond it. Empty for other objectives."""
+        if self.push is None:
+            return ""
+        return said_of(self.push, f" (at {listed(self.worst_at)})" if self.worst_at else "")
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the outcome without the orbit, as plain data."""
+        return {
+            "free": dict(self.free),
+            "objective": self.objective.wish,
+            "value": _finite(self.value),
+            "worst": _finite(self.worst),
+            "worst_at": dict(self.worst_at),
+            "mean": self.mean,
+            "asked": [dict(one) for one in self.asked],
+            "vanishing": dict(self.vanishing),
+            "n_orbits": self.n_orbits,
+            "push": None if self.push is None else self.push.as_json(),
+            "detail": self.detail,
+            "method": self.method.value,
+            "iterations": self.iterations,
+            "remarks": list(self.remarks),
+        }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def said_of(push: Push, at: str = "") -> str:
+    """Return a least push and the motion beyond it, as sentences.
+
+    Args:
+        push: The push.
+        at: Where it occurs, in words that begin with a blank.
+    """
+    if not math.isfinite(push.largest):
+        return f"No push up to {push.searched:.4g} {push.unit} is lost."
+    said = f"{push.largest:.4g} {push.unit} along {push.name}"
+    return f"The least push is {said} at phase {push.phase:.4g}{at}. Beyond it: {push.beyond}."

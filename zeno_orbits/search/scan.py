@@ -17,21 +17,18 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.maps import Accuracy, Attractor, AttractorClass, attractors_at
+from zeno_orbits.maps import ORBITS, Accuracy, Attractor, AttractorClass, attractors_at
 from zeno_orbits.model import ParameterValues, Problem, own_time
 from zeno_orbits.orbits import (
-    Cycle,
     EventSequence,
-    PhaseKind,
-    cycle_of,
+    SectionMode,
+    event_return,
     objection_to,
-    place_on_section,
 )
-from zeno_orbits.search.cycles import orbit_of
 from zeno_orbits.search.objectives import Target, TargetPeriod
+from zeno_orbits.search.points import OrbitAtValues
 from zeno_orbits.search.search_problem import SearchProblem, clipped
 from zeno_orbits.simulation import Extent, SimulationSettings, ZenoExtrapolation, simulate
-from zeno_orbits.verification import measure
 
 _PLACES = 24
 """Points of a scan per free value."""
@@ -46,13 +43,6 @@ _LOOSE = SimulationSettings(
     completion=ZenoExtrapolation(tolerance=1e-11),
 )
 """Accuracy of a period that is only ranked."""
-
-PHASE = {
-    AttractorClass.ZENO: PhaseKind.ZENO,
-    AttractorClass.SIMPLE: PhaseKind.PLASTIC,
-    AttractorClass.NO_ZENO: PhaseKind.IMPACT,
-}
-"""The orbits among the attractors of a map, and the phases of these orbits."""
 
 
 def start_place(search: SearchProblem, number: int) -> ParameterValues:
@@ -129,7 +119,7 @@ def require_period_in_reach(search: SearchProblem, objective: TargetPeriod) -> N
     problem = search.problem
     start = np.array(problem.state_vector(problem.starts[0], search.values))
     if objective.is_far_from(own_time(problem.dynamics(search.values), start)):
-        orbits = [one for one in _attractors(search) if one.fate in PHASE]
+        orbits = [one for one in _attractors(search) if one.fate in ORBITS]
         objective.require_near([one.period for one in orbits])
 
 
@@ -179,23 +169,23 @@ def _settled(
     ]
     found: list[Attractor | None] = [None] * len(values)
     for start in starts:
-        left = [k for k, one in enumerate(found) if one is None or one.fate not in PHASE]
+        left = [k for k, one in enumerate(found) if one is None or one.fate not in ORBITS]
         some = [values[k] for k in left]
         try:
             seen = attractors_at(problem, some, start=dict(start), until=until, accuracy=ACCURACY)
         except ZenoOrbitsError as error:
             seen = tuple(Attractor(fate=AttractorClass.FAILED, detail=str(error)) for _ in left)
         for k, one in zip(left, seen, strict=True):
-            if found[k] is None or one.fate in PHASE:
+            if found[k] is None or one.fate in ORBITS:
                 found[k] = one
     return tuple(one for one in found if one is not None)
 
 
 def _rank(search: SearchProblem, values: ParameterValues, attractor: Attractor) -> _Rank:
-    if attractor.fate not in PHASE:
+    if attractor.fate not in ORBITS:
         decided = attractor.fate not in (AttractorClass.UNSETTLED, AttractorClass.FAILED)
         return _Rank(2 if decided else 1)
-    if search.shape is not None and not is_of_shape(attractor, search.shape):
+    if search.shape is not None and not _is_of_shape(attractor, search.shape):
         return _Rank(1)
     try:
         return _scored(search, values, attractor)
@@ -223,7 +213,7 @@ def _by_distance(
     return found
 
 
-def is_of_shape(attractor: Attractor, shape: EventSequence) -> bool:
+def _is_of_shape(attractor: Attractor, shape: EventSequence) -> bool:
     """Return True if an orbit has the same number of releases as a shape."""
     return attractor.returns == shape.n_releases
 
@@ -239,19 +229,20 @@ def _scored(search: SearchProblem, values: ParameterValues, attractor: Attractor
     extents = {name: Extent(lowest=x, highest=x) for name, x in told.items()}
     missing = [name for name in names if name not in told]
     target = objective if isinstance(objective, Target) else None
-    cycle = cycle_at(search, values, attractor) if missing or target is not None else None
-    if cycle is not None and missing:
-        orbit = orbit_of(cycle, search.problem, values)
-        extents |= measure(orbit, search.problem, missing, simulation=_LOOSE)
     score = 0.0
-    if target is not None and cycle is not None:
-        score = target.miss(cycle)
-    elif not objective.is_sampled:
+    if missing or target is not None:
+        point = _point_at(search, values, attractor)
+        extents |= {name: point.extent(name) for name in missing}
+        if target is not None:
+            score = abs(point.prescribed(target).value - target.target) / target.target
+    if target is None and not objective.is_sampled:
         score = search.score(values, extents)
     return _Rank(0, bool(objection_to(search.bounds, extents)), score)
 
 
-def cycle_at(search: SearchProblem, values: ParameterValues, attractor: Attractor) -> Cycle:
+def _point_at(
+    search: SearchProblem, values: ParameterValues, attractor: Attractor
+) -> OrbitAtValues:
     """Simulate a period of an attractor that is an orbit.
 
     Args:
@@ -262,15 +253,23 @@ def cycle_at(search: SearchProblem, values: ParameterValues, attractor: Attracto
     Raises:
         ZenoOrbitsError: If its motion cannot be simulated for a period.
     """
-    dynamics = search.dynamics(values)
-    state = np.array(search.problem.state_vector(attractor.state))
-    n = attractor.returns
-    if n == 0:
+    graph, state = search.problem.graph_dynamics(values), attractor.state
+    start, n_returns = np.array(search.problem.state_vector(state)), attractor.returns
+    stop, is_released = graph.stop_names[0], n_returns > 0
+    if not is_released:
         until = (1 + _ARRIVED) * attractor.period
-        n = len(simulate(dynamics, state, until=until, settings=_LOOSE).impacts)
-    shape = EventSequence(phases=n * (PHASE[attractor.fate],))
-    start = place_on_section(dynamics, shape, state)
-    return cycle_of(dynamics, start, shape, horizon=2 * attractor.period, settings=_LOOSE)
+        n_returns = len(simulate(graph, start, until=until, settings=_LOOSE).impacts)
+    left, released = ("", stop) if is_released else (stop, "")
+    found = event_return(
+        graph,
+        start,
+        section=f"release {stop}" if is_released else f"impact {stop}",
+        n_returns=n_returns,
+        guess=attractor.period,
+        settings=_LOOSE,
+        mode=SectionMode(closed=(), sides=(), stop=left, released=released),
+    )
+    return OrbitAtValues(values=values, graph=graph, found=found, chosen=())
 
 
 def _is_valley(k: int, orbits: Sequence[int], unit: Vector, ranks: Sequence[_Rank]) -> bool:

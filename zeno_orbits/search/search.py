@@ -12,7 +12,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Bound, Cycle, EventSequence, Orbit
+from zeno_orbits.orbits import Bound, EventSequence, Orbit
+from zeno_orbits.search.candidates import has_last_event
 from zeno_orbits.search.multistart import StartWorkers, outcomes_here, outcomes_spread
 from zeno_orbits.search.objectives import NearestGains, Objective, Target, TargetPeriod
 from zeno_orbits.search.outcome import (
@@ -183,25 +184,18 @@ def _with_coexisting(
 
     The attractors are computed at the values of the best candidate.
     """
-    from zeno_orbits.search.coexisting import N_STATES, coexisting_cycles
-    from zeno_orbits.search.start import try_cycle
+    from zeno_orbits.search.coexisting import N_STATES, coexisting_orbits
+    from zeno_orbits.search.start import try_orbit
 
     best = min(candidates, key=lambda one: one.score).orbit
     search.tell("looking for other attractors from other initial states")
-    for cycle in coexisting_cycles(search, best):
-        if any(_begins_alike(search, cycle, one.orbit) for one in candidates):
+    for found in coexisting_orbits(search, best):
+        if any(has_last_event(search.problem, one.orbit, found) for one in candidates):
             continue
-        outcome = try_cycle(search, best.values(search.problem), cycle, accept)
+        outcome = try_orbit(search, best.values(search.problem), found, accept)
         if outcome.candidate is not None:
             candidates = _joined(search, candidates, outcome.candidate)
     return candidates, N_STATES
-
-
-def _begins_alike(search: SearchProblem, cycle: Cycle, orbit: Orbit) -> bool:
-    """Return True if a period begins at one of the events of an orbit of the same shape."""
-    if cycle.shape != orbit.shape:
-        return False
-    return _has_event_at(search, orbit, cycle.start.state)
 
 
 def _has_event_at(search: SearchProblem, orbit: Orbit, state: Vector) -> bool:

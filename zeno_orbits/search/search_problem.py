@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from zeno_orbits.model import CompiledSystem, HybridDynamics, ParameterValues, Problem
+from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.orbits import Bound, EventSequence, Orbit
+from zeno_orbits.search.nearness import nearness_of
 from zeno_orbits.search.objectives import NearestGains, Objective
 from zeno_orbits.search.settings import SearchSettings
-from zeno_orbits.search.transcription.nearness import Nearness
 from zeno_orbits.simulation import Extent
 from zeno_orbits.work import Progress, silent
 
 _OF_THIS_PROCESS = ("problem", "on_progress")
-
-_SMALLEST_SIZE = 1e-3
-"""Smallest size of a free value, in units of its range."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +31,6 @@ class SearchProblem:
         shape: The shape of the orbit. By default any shape is accepted.
         initial_states: Initial states of the simulations that find orbits, name to value. If it is
             empty, they are those of the problem.
-        sizes: Name to size of a free value. Its changes are measured in units of this size.
         order: Indices of the scan points at which it starts, in order. ``None`` before a scan.
         settings: Limits and tolerances of the search.
         on_progress: Receives progress reports.
@@ -48,15 +44,9 @@ class SearchProblem:
     near: Orbit | None = None
     shape: EventSequence | None = None
     initial_states: tuple[Mapping[str, float], ...]
-    sizes: Mapping[str, float] = field(default_factory=dict[str, float])
     order: tuple[int, ...] | None = None
     settings: SearchSettings
     on_progress: Progress = silent
-
-    @property
-    def compiled(self) -> CompiledSystem:
-        """The functions of the problem."""
-        return self.problem.compiled()
 
     def starts_at(self, values: ParameterValues) -> tuple[tuple[float, ...], ...]:
         """Return the initial states of the simulations, each ``(n_x,)``.
@@ -76,11 +66,6 @@ class SearchProblem:
         several = self.free and self.settings.n_starts > 0 and self.near is None
         return bool(several and self.objective.quantities)
 
-    def nearness(self, origin: ParameterValues) -> Nearness:
-        """Return the measure of the distance between free values and given values."""
-        first = {name: origin.number(name) for name in self.free}
-        return Nearness(first=first, sizes=self.sizes)
-
     def score(self, values: ParameterValues, extents: Mapping[str, Extent]) -> float:
         """Return the score of an orbit. A lower score is better.
 
@@ -91,7 +76,7 @@ class SearchProblem:
         if not self.free:
             return 0.0
         numbers = {name: values.number(name) for name in self.free}
-        return self.objective.score(numbers, self.nearness(self.values), extents)
+        return self.objective.score(numbers, nearness_of(self.values, self.free), extents)
 
     def dynamics(self, values: ParameterValues) -> HybridDynamics:
         """Return the system at given values."""
@@ -112,7 +97,7 @@ class SearchProblem:
 
 
 def with_targets(search: SearchProblem) -> SearchProblem:
-    """Return the search with the size of each free value and with complete targets.
+    """Return the search with complete targets.
 
     For `NearestGains`, values without a target stay near their start, and the search starts where
     the targets can be reached.
@@ -121,11 +106,7 @@ def with_targets(search: SearchProblem) -> SearchProblem:
         values = clipped(search.values.replaced(search.objective.target), search.free)
         named = {**values.gains, **{name: values.number(name) for name in search.free}}
         search = replace(search, values=values, objective=NearestGains(target=named))
-    sizes = {
-        name: max(abs(search.values.number(name)), _SMALLEST_SIZE * (high - low))
-        for name, (low, high) in search.free.items()
-    }
-    return replace(search, sizes=sizes)
+    return search
 
 
 def clipped(values: ParameterValues, free: Mapping[str, tuple[float, float]]) -> ParameterValues:

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from zeno_orbits.errors import InputError, any_number, positive_number
-from zeno_orbits.search.transcription.arc import TranscriptionSettings
-from zeno_orbits.search.transcription.ipopt import IpoptSettings
+from zeno_orbits.search.program.writer import TranscriptionSettings
 from zeno_orbits.work import Checked, require_kinds
 
 
@@ -37,10 +36,6 @@ class SearchMethod(Enum):
     SHOOTING = "shooting"
 
 
-_BY_ITERATIONS = IpoptSettings(most_iterations=60, most_seconds=1e9)
-"""Limit of iterations. A time limit would make the result depend on the load of the machine."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TransientSettings:
     """Limits of the simulation of a motion until it repeats.
@@ -66,27 +61,20 @@ class SearchSettings(Checked):
 
     Attributes:
         settling: Limits of the simulation until a motion repeats.
-        transcription: Scheme, mesh and closure.
-        ipopt: Solver settings. The square case always approximates the Hessian.
+        transcription: Scheme, mesh and closure of the program that is solved beside the simulation.
         agreement: Largest relative difference of program and simulation over one period.
-        rounds: Number of mesh refinements.
+        rounds: Number of meshes, each ten times finer, until they agree.
         n_starts: Number of quasi-random starts after the given values.
         candidates: Number of accepted orbits after which a search ends.
-        first_step: Largest change to a target value in a single step, in units of the target.
-        smallest_step: Largest remaining distance from a target before the search fails, in units of
-            the target.
         seed: Seed of the quasi-random starts.
     """
 
     settling: TransientSettings = field(default_factory=TransientSettings)
     transcription: TranscriptionSettings = field(default_factory=TranscriptionSettings)
-    ipopt: IpoptSettings = field(default_factory=lambda: _BY_ITERATIONS)
     agreement: float = 3e-10
     rounds: int = 4
     n_starts: int = 12
     candidates: int = 1
-    first_step: float = 0.03
-    smallest_step: float = 0.003
     seed: int = 0
 
     def for_accuracy(self, accuracy: float) -> SearchSettings:

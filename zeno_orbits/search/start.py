@@ -7,15 +7,15 @@ from dataclasses import replace
 
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Bound, Cycle, Orbit, objection_to
-from zeno_orbits.search.homotopy.margins import CycleWays
-from zeno_orbits.search.homotopy.persistence import persistence
+from zeno_orbits.orbits import Bound, EventReturn, Orbit, objection_to
+from zeno_orbits.search.closing import event_orbit_of
 from zeno_orbits.search.number_notes import far_from_own
 from zeno_orbits.search.objectives import PERSISTENCE, PUSH, MaxPush, NearestGains
-from zeno_orbits.search.outcome import Accept, Candidate, StartOutcome, Verdict
+from zeno_orbits.search.outcome import Accept, Candidate, SimulatedOrbit, StartOutcome, Verdict
+from zeno_orbits.search.persistence import persistence
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.strategy import SearchStart, beside, from_cycle, from_start
+from zeno_orbits.search.strategy import SearchStart, from_orbit, from_start, paths_of
 from zeno_orbits.search.strength import orbits_at_corners, strength
 from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import measure
@@ -77,26 +77,26 @@ def try_start(search: SearchProblem, number: int, accept: Accept | None) -> Star
     outcome, judgement = _judged(search, reached, accept, name)
     if judgement is not None and judgement.repels and search.free:
         outcome = _attracting(search, start, accept, name, outcome, judgement)
-    elif judgement is not None and judgement.objection and reached.detail and search.free:
+    elif judgement is not None and judgement.objection and reached.is_last and search.free:
         outcome = _before(search, start, accept, name, outcome, reached)
     numbers = {name: start.values.number(name) for name in search.free}
     return replace(outcome, solution=None, start=numbers)
 
 
-def try_cycle(
-    search: SearchProblem, values: ParameterValues, cycle: Cycle, accept: Accept | None
+def try_orbit(
+    search: SearchProblem, values: ParameterValues, found: EventReturn, accept: Accept | None
 ) -> StartOutcome:
-    """Search from a simulated period and check the orbit.
+    """Search from an orbit and check the result.
 
     Args:
         search: The search.
-        values: Values of the period.
-        cycle: The period.
+        values: Values of the orbit.
+        found: The orbit.
         accept: The check of orbits. By default all orbits are accepted.
     """
     name = "another attractor"
     wanted = search if search.seeks_optimum else replace(search, free={})
-    outcome, _ = _judged(search, from_cycle(wanted, values, cycle), accept, name)
+    outcome, _ = _judged(search, from_orbit(wanted, values, found), accept, name)
     numbers = {free: values.number(free) for free in search.free}
     return replace(outcome, solution=None, start=numbers)
 
@@ -105,17 +105,18 @@ def _judged(
     search: SearchProblem, outcome: StartOutcome, accept: Accept | None, name: str
 ) -> tuple[StartOutcome, Verdict | None]:
     """Measure the orbit of a start on a simulation, if it exists, and accept or reject it."""
-    orbit = None if outcome.solution is None else outcome.solution.orbit
-    if outcome.status is not SearchStatus.FOUND or orbit is None:
+    solution = outcome.solution
+    if outcome.status is not SearchStatus.FOUND or solution is None:
         return outcome, None
+    orbit = solution.orbit
     try:
-        extents = _measured(search, orbit, name)
+        extents = _measured(search, solution, name)
     except ZenoOrbitsError as error:
         return replace(outcome, status=SearchStatus.NOT_ACCEPTED, detail=str(error)), None
     judgement = Verdict(objection=objection_to(search.bounds, extents))
     if not judgement.objection and accept is not None:
         search.tell(f"{name}: verifying")
-        judgement = _accepted(search, orbit, accept)
+        judgement = _accepted(search, solution, accept)
     if judgement.objection:
         refused = replace(
             outcome,
@@ -130,17 +131,21 @@ def _judged(
     return replace(outcome, candidate=candidate), judgement
 
 
-def _accepted(search: SearchProblem, orbit: Orbit, accept: Accept) -> Verdict:
+def _accepted(search: SearchProblem, solution: SimulatedOrbit, accept: Accept) -> Verdict:
     """Check an orbit, and the orbits at all corners of uncertain ranges."""
-    judgement = accept(orbit)
+    judgement, values = accept(solution.orbit), solution.values
     if judgement.objection or not isinstance(search.objective, MaxPush) or not search.free:
         return judgement
-    at_corners = orbits_at_corners(search, orbit.values(search.problem), orbit)
-    for place, other, reason in list(at_corners)[1:]:
-        objection = f"{reason}." if other is None else accept(other).objection
+    paths = paths_of(search, values)
+    at_corners = orbits_at_corners(paths, search.objective, values, solution.found)
+    for corner, other, reason in list(at_corners)[1:]:
+        if other is None:
+            objection = f"{reason}."
+        else:
+            place = values.replaced(corner)
+            objection = accept(event_orbit_of(search.problem, place, other)).objection
         if objection:
-            numbers = {one: place.number(one) for one in search.objective.uncertain}
-            return replace(judgement, objection=f"At {listed(numbers)}: {objection}")
+            return replace(judgement, objection=f"At {listed(corner)}: {objection}")
     return judgement
 
 
@@ -177,7 +182,8 @@ def _attracting(
     bounded = replace(search, bounds=(*search.bounds, bound))
     try:
         # The best stable orbit is usually near.
-        outcome, _ = _judged(bounded, beside(bounded, start, refused.solution), accept, name)
+        beside = from_orbit(bounded, refused.solution.values, refused.solution.found)
+        outcome, _ = _judged(bounded, beside, accept, name)
         if outcome.candidate is None:
             outcome, _ = _judged(bounded, from_start(bounded, start), accept, name)
     except InputError:
@@ -303,19 +309,21 @@ def _at_part(
     return _judged(search, from_start(replace(search, free={}), there), accept, name)[0]
 
 
-def _measured(search: SearchProblem, orbit: Orbit, name: str) -> Mapping[str, Extent]:
+def _measured(search: SearchProblem, solution: SimulatedOrbit, name: str) -> Mapping[str, Extent]:
     names = [bound.name for bound in search.bounds]
     if search.free:
         names = [*search.objective.quantities, *names]
     if not names:
         return {}
     search.tell(f"{name}: measuring {', '.join(dict.fromkeys(names))}")
-    values, sampled = orbit.values(search.problem), (PERSISTENCE, PUSH)
-    extents = measure(orbit, search.problem, [one for one in names if one not in sampled])
+    values, found, sampled = solution.values, solution.found, (PERSISTENCE, PUSH)
+    names_of_orbit = [one for one in names if one not in sampled]
+    extents = measure(solution.orbit, search.problem, names_of_orbit)
+    paths = paths_of(search, values)
     if PERSISTENCE in names:
-        extents[PERSISTENCE] = persistence(CycleWays(search=search), values, orbit).extent
-    if PUSH in names:
-        extents[PUSH] = strength(search, values, orbit).extent
+        extents[PERSISTENCE] = persistence(paths, values, found).extent
+    if PUSH in names and isinstance(search.objective, MaxPush):
+        extents[PUSH] = strength(paths, search.objective, values, found).extent
     return extents
 
 

@@ -1,51 +1,33 @@
-"""From a start to an orbit: by simulation, from a known orbit, or by continuation.
-
-The objective is then reached directly, in small steps, or after a minimisation of the violation of
-the bounds.
-"""
+"""From a start to an orbit: by simulation, from a known orbit, or by continuation."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
 
-from zeno_orbits.errors import SimulationError, UnsettledError, ZenoOrbitsError
+from zeno_orbits.errors import SimulationError, UnsettledError
 from zeno_orbits.model import ParameterValues
 from zeno_orbits.orbits import (
-    Cycle,
+    EventReturn,
+    EventSequence,
     Orbit,
+    events_of_shape,
     orbit_event_name,
-    relaxed_tolerance,
-    round_again,
-    shape_of_events,
+    shortest_return,
 )
-from zeno_orbits.search.closing import settled_return
-from zeno_orbits.search.cycles import beyond_limits, closed_cycle, cycle_of_return, orbit_of
-from zeno_orbits.search.homotopy.best_on_line import all_kept, best_on_the_way, kept_and_exceeded
-from zeno_orbits.search.homotopy.homotopy import follow
-from zeno_orbits.search.homotopy.line import Followed
-from zeno_orbits.search.homotopy.margins import CycleWays
-from zeno_orbits.search.homotopy.persistence import Persistence, widest
-from zeno_orbits.search.objectives import MaxPush, NearestGains, Target, TowardTarget
-from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
-from zeno_orbits.search.refinement import (
-    COARSE,
-    ON_THE_WAY,
-    least_violation,
-    refine,
-    solve_once,
-)
+from zeno_orbits.search.closing import event_orbit_of, return_near, settled_return
+from zeno_orbits.search.gains import GainSearch
+from zeno_orbits.search.limits import beyond_limits
+from zeno_orbits.search.line import Followed
+from zeno_orbits.search.outcome import SimulatedOrbit, StartOutcome
+from zeno_orbits.search.paths import TO_VALUES, OrbitPaths
+from zeno_orbits.search.points import OrbitsOverValues
+from zeno_orbits.search.program.agreement import Agreement, agreement_of
 from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.strength import Strength, strongest
-from zeno_orbits.search.trust_region import LastStep, trust_region_steps
 from zeno_orbits.simulation import SimulationSettings
 
-_AT_BOUND = 0.02
-"""Distance below which a value is at its bound, in units of its range."""
-
-_VIOLATED = 1e-5
-"""Relative violation above which a bound cannot be satisfied."""
+_BY_ITSELF = "Errors grow too much on it for the program: simulation alone closes the orbit."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,17 +35,17 @@ class FollowedMotion:
     """Result of the simulation of a motion until it settles.
 
     Attributes:
-        cycle: The period to which it settles, if there is one.
-        reason: Reason of a missing period, as a clause. Empty with a period.
+        found: The orbit to which it settles, if there is one.
+        reason: Reason of a missing orbit, as a clause. Empty with an orbit.
         undecided: True if the motion had not settled at its time limit.
     """
 
-    cycle: Cycle | None
+    found: EventReturn | None
     reason: str = ""
     undecided: bool = False
 
 
-_NOT_FOLLOWED = FollowedMotion(cycle=None, reason="no orbit is near")
+_NOT_FOLLOWED = FollowedMotion(found=None, reason="no orbit is near")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,22 +66,22 @@ class SearchStart:
 
 
 def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
-    """Search from one start. The result depends on the arguments alone, not on earlier starts."""
-    values, near = start.values, start.near
-    if near is not None:
-        path = follow(search, near, near.values(search.problem), values)
-        return _along(search, start, path, "the known orbit")
-    motion = _NOT_FOLLOWED if start.known_empty else simulated(search, values)
-    if motion.cycle is not None:
-        outcome = from_cycle(search, values, motion.cycle)
+    """Search from one start. The result depends on the arguments alone, not on earlier starts.
+
+    Args:
+        search: The search.
+        start: The start.
+    """
+    if start.near is not None:
+        return _from_known(search, start, start.near)
+    motion = _NOT_FOLLOWED if start.known_empty else simulated(search, start.values)
+    if motion.found is not None:
+        outcome = from_orbit(search, start.values, motion.found)
         if outcome.status is SearchStatus.FOUND or search.free:
             return outcome
-        outcome = _closed(search, values, motion.cycle) or outcome
-        if outcome.status is SearchStatus.FOUND:
-            return outcome
     else:
-        where = f"At {listed(search.numbers(values))}, " if search.numbers(values) else ""
-        detail = f"{where}{motion.reason}."
+        numbers = search.numbers(start.values)
+        detail = f"{f'At {listed(numbers)}, ' if numbers else ''}{motion.reason}."
         outcome = StartOutcome(
             status=SearchStatus.NO_GUESS,
             detail=detail[0].upper() + detail[1:],
@@ -108,76 +90,165 @@ def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
     return _by_an_easier_way(search, start, outcome)
 
 
-def beside(search: SearchProblem, start: SearchStart, solution: SimulatedSolution) -> StartOutcome:
-    """Search from the solution of a search with fewer bounds.
+def simulated(search: SearchProblem, values: ParameterValues) -> FollowedMotion:
+    """Return the orbit to which the problem settles, or the reason of a failure.
 
     Args:
         search: The search.
-        start: The start.
-        solution: The solution of the search with fewer bounds.
+        values: The values of the simulation.
     """
-    return refine(search, solution.values, solution.cycle, search.objective, start.values)
-
-
-def simulated(search: SearchProblem, values: ParameterValues) -> FollowedMotion:
-    """Return the period to which the problem settles, or the reason of a failure."""
-    problem, settings = search.problem, SimulationSettings()
     try:
         found = settled_return(
-            problem,
+            search.problem,
             values,
             starts=search.initial_states,
             shape=search.shape,
             until=search.settings.settling.horizon,
+            changing=tuple(search.free),
         )
-        is_plastic = search.dynamics(values).restitution == 0.0
-        shape = search.shape or shape_of_events(found.events, is_plastic=is_plastic)
-        if shape is None:
-            sequence = ", ".join(map(orbit_event_name, found.events))
-            return FollowedMotion(cycle=None, reason=f"the motion has the events `{sequence}`")
-        cycle = cycle_of_return(problem.graph_dynamics(values), found, shape, settings)
     except SimulationError as error:
         # What to do about it depends on the search.
         clause = re.split(": (?:start|simulate) ", error.reason)[0]
-        undecided = isinstance(error, UnsettledError)
         reason = f"{clause[0].lower()}{clause[1:]}"
-        return FollowedMotion(cycle=None, reason=reason, undecided=undecided)
-    return FollowedMotion(cycle=cycle)
+        undecided = isinstance(error, UnsettledError)
+        return FollowedMotion(found=None, reason=reason, undecided=undecided)
+    return FollowedMotion(found=found)
 
 
-def _closed(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> StartOutcome | None:
-    """Return the orbit to which a motion converges, closed by simulation at the highest accuracy.
+def from_orbit(search: SearchProblem, values: ParameterValues, found: EventReturn) -> StartOutcome:
+    """Search from an orbit.
 
-    Over many impacts errors grow beyond the tolerance between program and simulation. A
-    continuation from easier values would lead to another orbit than the attractor of the motion.
+    Args:
+        search: The search.
+        values: Values of the orbit.
+        found: The orbit.
     """
-    if isinstance(search.objective, Target):
-        return None
+    if not search.free:
+        return _compared(search, values, found)
+    gains = GainSearch(
+        problem=search.problem,
+        origin=search.values,
+        free=search.free,
+        objective=search.objective,
+        bounds=search.bounds,
+        shape=search.shape,
+        starts=search.initial_states,
+        until=search.settings.settling.horizon,
+        on_progress=search.on_progress,
+    )
     try:
-        found = closed_cycle(
-            search.problem.graph_dynamics(values),
-            cycle.start.state,
-            shape=cycle.shape,
-            period=cycle.period,
-            settings=_FINEST,
+        best = gains.best(found, values)
+    except SimulationError as error:
+        return StartOutcome(status=SearchStatus.NOT_SOLVED, detail=f"{error.reason.rstrip('.')}.")
+    result = best.result
+    if result.orbit is None:
+        return StartOutcome(
+            status=SearchStatus.NOT_SOLVED,
+            detail=result.detail,
+            iterations=result.iterations,
+            shortfall=best.violation,
         )
-    except ZenoOrbitsError:
-        return None
-    if round_again(found) or beyond_limits(search.problem, found.arcs):
-        return None
-    orbit = orbit_of(found, search.problem, values)
-    return StartOutcome(
-        status=SearchStatus.FOUND,
-        detail=_BY_ITSELF,
-        agreement=found.drift(found.scale_at_events()),
-        solution=SimulatedSolution(
-            values=values, cycle=found, unknowns={}, orbit=orbit, excesses={}
-        ),
+    outcome = _compared(search, best.values, best.found)
+    said = (result.detail or result.told_push, *result.remarks, outcome.detail)
+    return replace(
+        outcome,
+        detail=" ".join(filter(None, said)),
+        is_last=best.is_last,
+        iterations=outcome.iterations + result.iterations,
     )
 
 
-_FINEST = relaxed_tolerance(SimulationSettings(), factor=1e-2)
-_BY_ITSELF = "Errors grow too much on it for the program: simulation alone closes the orbit."
+def paths_of(search: SearchProblem, values: ParameterValues) -> OrbitPaths:
+    """Return the orbits of a search over its free values as lines.
+
+    Args:
+        search: The search.
+        values: Values of everything that is not free.
+    """
+    orbits = OrbitsOverValues(
+        problem=search.problem,
+        values=values,
+        names=tuple(search.free),
+        simulation=SimulationSettings(),
+    )
+    return OrbitPaths(
+        orbits=orbits, free=search.free, bounds=search.bounds, on_progress=search.on_progress
+    )
+
+
+def _compared(search: SearchProblem, values: ParameterValues, found: EventReturn) -> StartOutcome:
+    """Return an orbit with its agreement with a program, whose mesh is refined until they agree."""
+    problem, settings = search.problem, search.settings
+    graph = problem.graph_dynamics(values)
+    try:
+        found = shortest_return(graph, found, SimulationSettings())
+    except SimulationError as error:
+        return StartOutcome(status=SearchStatus.NOT_FOLLOWED, detail=f"{error.reason}.")
+    orbit = event_orbit_of(problem, values, found)
+    if search.shape is not None and not _is_of_shape(orbit, search.shape):
+        has = f"`{orbit.phases_as.text}`" if orbit.phases_as else "other events"
+        detail = f"The orbit has the shape {has}, not `{search.shape.text}`."
+        return StartOutcome(status=SearchStatus.NOT_FOLLOWED, detail=detail)
+    beyond = beyond_limits(problem, found.arcs)
+    if beyond:
+        return StartOutcome(status=SearchStatus.NOT_FOLLOWED, detail=f"{beyond}.")
+    seen = agreement_of(graph, found, settings.transcription)
+    for _ in range(settings.rounds - 1):
+        if seen.difference <= settings.agreement:
+            break
+        mesh = 0.1 * settings.transcription.mesh_tolerance
+        settings = replace(
+            settings, transcription=replace(settings.transcription, mesh_tolerance=mesh)
+        )
+        seen = agreement_of(graph, found, settings.transcription)
+    return _found(seen, SimulatedOrbit(values=values, found=found, orbit=orbit), settings.agreement)
+
+
+def _is_of_shape(orbit: Orbit, shape: EventSequence) -> bool:
+    own = orbit.phases_as
+    return own is not None and events_of_shape(own) == events_of_shape(shape)
+
+
+def _found(seen: Agreement, solution: SimulatedOrbit, wanted: float) -> StartOutcome:
+    return StartOutcome(
+        status=SearchStatus.FOUND,
+        detail="" if seen.difference <= wanted else _BY_ITSELF,
+        residuals=seen.residuals,
+        agreement=seen.difference,
+        closure_error=seen.closure_error,
+        n_unknowns=seen.n_unknowns,
+        iterations=seen.iterations,
+        solve_time=seen.solve_time,
+        solution=solution,
+    )
+
+
+def _from_known(search: SearchProblem, start: SearchStart, near: Orbit) -> StartOutcome:
+    """Search from a known orbit, which is followed to the values of the start."""
+    own = near.values(search.problem)
+    try:
+        found = return_near(search.problem, own, near, on_progress=search.on_progress)
+    except SimulationError:
+        detail = "From the known orbit no orbit could be followed."
+        return StartOutcome(status=SearchStatus.NO_GUESS, detail=detail)
+    if own == start.values:
+        return from_orbit(search, own, found)
+    return _along(search, start, _followed(search, found, own, start.values), "the known orbit")
+
+
+def _followed(
+    search: SearchProblem, found: EventReturn, here: ParameterValues, wanted: ParameterValues
+) -> Followed:
+    """Follow an orbit, stable or not, to other values. The last one starts at the same event."""
+    paths = paths_of(search, here)
+    path = paths.follow(found, here, wanted, steps=TO_VALUES, is_stable=False)
+    if path.orbit is None:
+        return path
+    try:
+        last = paths.back(path.orbit, path.values, orbit_event_name(found.events[-1]))
+    except SimulationError:
+        return path
+    return replace(path, orbit=last)
 
 
 def _by_an_easier_way(
@@ -187,14 +258,15 @@ def _by_an_easier_way(
     for easy in start.easy:
         if easy == start.values:
             continue
-        search.tell(f"following orbits from {listed(_differing(easy, start.values))}")
-        cycle = simulated(search, easy).cycle
-        if cycle is None:
+        origin = listed(_differing(easy, start.values))
+        search.tell(f"following orbits from {origin}")
+        found = simulated(search, easy).found
+        if found is None:
             continue
-        path = follow(search, cycle, easy, start.values)
+        path = _followed(search, found, easy, start.values)
         if path.orbit is None:
             continue
-        reached = _along(search, start, path, listed(_differing(easy, start.values)))
+        reached = _along(search, start, path, origin)
         if reached.status is SearchStatus.FOUND:
             return reached
         detail = f"{outcome.detail} {path.ending}".strip()
@@ -202,15 +274,13 @@ def _by_an_easier_way(
     return outcome
 
 
-def _along(
-    search: SearchProblem, start: SearchStart, path: Followed[Cycle], origin: str
-) -> StartOutcome:
+def _along(search: SearchProblem, start: SearchStart, path: Followed, origin: str) -> StartOutcome:
     """Search from the last orbit of a path, which may end before the values of the start."""
     if path.orbit is None:
         detail = f"From {origin} no orbit could be followed."
         return StartOutcome(status=SearchStatus.NO_GUESS, detail=detail)
     if path.arrived:
-        return from_cycle(search, start.values, path.orbit)
+        return from_orbit(search, start.values, path.orbit)
     inside = all(
         search.free[name][0] <= path.values.number(name) <= search.free[name][1]
         if name in search.free
@@ -218,192 +288,13 @@ def _along(
         for name in path.values.numbers
     )
     if inside and search.free:
-        outcome = from_cycle(search, path.values, path.orbit)
+        outcome = from_orbit(search, path.values, path.orbit)
         if outcome.status is SearchStatus.FOUND:
-            return replace(outcome, detail=f"{path.ending} {outcome.detail}".strip())
+            detail = f"{path.ending} {outcome.detail}".strip()
+            return replace(outcome, detail=detail, is_last=True)
         return outcome
     return StartOutcome(status=SearchStatus.NO_GUESS, detail=path.ending)
 
 
 def _differing(values: ParameterValues, other: ParameterValues) -> dict[str, float]:
     return {n: value for n, value in values.numbers.items() if value != other.number(n)}
-
-
-def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> StartOutcome:
-    """Search from one simulated period.
-
-    Args:
-        search: The search.
-        values: Values at which the period was simulated.
-        cycle: The period.
-    """
-    objective = search.objective
-    if isinstance(objective, Target):
-        return _to_target(search, values, cycle, objective)
-    if objective.is_sampled and search.free:
-        return _by_samples(search, values, cycle)
-    held = replace(search, free={})
-    nearest = isinstance(objective, NearestGains)
-    if nearest and all(values.number(n) == v for n, v in objective.target.items()):
-        # An orbit at the target itself is optimal, so the gains are fixed.
-        here = refine(held, values, cycle, objective)
-        if not search.bounds or not search.free:
-            return here
-    outcome = refine(search, values, cycle, objective)
-    if outcome.status is SearchStatus.FOUND or not search.free:
-        return outcome
-    if search.bounds:
-        values, cycle, lacking = _where_bounds_are_kept(search, values, cycle)
-        if lacking is not None:
-            return replace(
-                outcome,
-                status=lacking.status,
-                detail=lacking.detail,
-                shortfall=lacking.shortfall,
-            )
-    search.tell(f"small steps toward {objective.wish}")
-
-    def solve(near: SearchProblem, here: ParameterValues, around: Cycle) -> StartOutcome:
-        return solve_once(near, values, here, around, objective, COARSE)
-
-    last = trust_region_steps(search, values, cycle, solve)
-    stepped = refine(search, last.values, last.cycle, objective, values)
-    if stepped.status is SearchStatus.FOUND:
-        return stepped
-    # An orbit matters more than its optimum: return the best orbit of the steps.
-    return best_on_the_way(search, values, last) or outcome
-
-
-def _by_samples(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> StartOutcome:
-    """Return the orbit with the best sampled quantity."""
-    if search.bounds:
-        values, cycle, lacking = _where_bounds_are_kept(search, values, cycle)
-        if lacking is not None:
-            return lacking
-    best: Strength | Persistence[Cycle | Orbit]
-    if isinstance(search.objective, MaxPush):
-        best = strongest(search, values, cycle)
-        if best.push is None:
-            return StartOutcome(status=SearchStatus.NO_GUESS, detail=best.text)
-        found = best.cycle
-    else:
-        best = widest(CycleWays(search=search), values, cycle)
-        found = best.orbit
-    around = found if isinstance(found, Cycle) else cycle
-    outcome = refine(replace(search, free={}), best.values, around, search.objective)
-    if outcome.status is not SearchStatus.FOUND:
-        return outcome
-    return replace(outcome, detail=best.text)
-
-
-def _where_bounds_are_kept(
-    search: SearchProblem, values: ParameterValues, cycle: Cycle
-) -> tuple[ParameterValues, Cycle, StartOutcome | None]:
-    """Minimise the violation of the bounds, and describe the remaining violation.
-
-    The result is a local minimum near the start. Another start may have a smaller violation. An
-    orbit that satisfies all bounds is returned unchanged.
-    """
-    if all_kept(search, values, cycle):
-        return values, cycle, None
-    search.tell("looking for where the bounds are kept")
-    origin = values
-
-    def solve(near: SearchProblem, here: ParameterValues, around: Cycle) -> StartOutcome:
-        return least_violation(near, origin, here, around)
-
-    last = trust_region_steps(search, values, cycle, solve)
-    if last.outcome is None or last.outcome.solution is None:
-        return values, cycle, None
-    unknowns = last.outcome.solution.unknowns
-    slacks = [float(unknowns[f"slack {k}"][0, 0]) for k in range(len(search.bounds))]
-    broken = [
-        f"`{bound.name}` leaves its bounds {bound.text} by "
-        f"{float(unknowns[f'excess {k}'][0, 0]):.3g}"
-        for k, bound in enumerate(search.bounds)
-        if slacks[k] > _VIOLATED
-    ]
-    if not broken or not last.converged:
-        return last.values, last.cycle, None
-    where = listed({name: last.values.number(name) for name in search.free})
-    detail = f"No orbit was found that keeps all bounds. The nearest one, at {where}"
-    lacking = StartOutcome(
-        status=SearchStatus.NOT_SOLVED,
-        detail=f"{detail}{_held(search, last.values)}, {', '.join(broken)}.",
-        shortfall=sum(slacks),
-    )
-    return last.values, last.cycle, lacking
-
-
-def _to_target(
-    search: SearchProblem, values: ParameterValues, cycle: Cycle, target: Target
-) -> StartOutcome:
-    """Reach a target: directly if it is near, else by steps that reduce the squared distance.
-
-    If the bounds cannot be satisfied even without the target, the message names the bounds and not
-    the target.
-    """
-    if search.bounds and search.free:
-        values, cycle, lacking = _where_bounds_are_kept(search, values, cycle)
-        if lacking is not None:
-            here = target.measured(cycle)
-            missed = f"There the orbit has {replace(target, target=here).wish}."
-            return replace(lacking, detail=f"{lacking.detail} {missed}")
-    if target.miss(cycle) <= search.settings.first_step:
-        search.tell(f"asking for {target.wish}")
-        outcome = refine(search, values, cycle, target)
-        if outcome.status is SearchStatus.FOUND:
-            return outcome
-    search.tell(f"small steps toward {target.wish}")
-    toward = TowardTarget(target=target)
-
-    def solve(near: SearchProblem, here: ParameterValues, around: Cycle) -> StartOutcome:
-        return solve_once(near, values, here, around, toward, COARSE)
-
-    last = trust_region_steps(search, values, cycle, solve)
-    here = target.measured(last.cycle)
-    if abs(here - target.target) > search.settings.smallest_step * target.target:
-        return _short_of(search, target, here, last, last.outcome)
-    search.tell(f"asking for {target.wish}")
-    outcome = refine(search, last.values, last.cycle, target, values)
-    if outcome.status is not SearchStatus.FOUND:
-        # The nearest values with the target may be far away on its level set.
-        outcome = refine(search, last.values, last.cycle, target, last.values)
-    if outcome.status is SearchStatus.FOUND:
-        return outcome
-    short = _short_of(search, target, here, last, outcome)
-    return replace(short, detail=outcome.detail)
-
-
-def _short_of(
-    search: SearchProblem,
-    target: Target,
-    here: float,
-    step: LastStep,
-    last: StartOutcome | None,
-) -> StartOutcome:
-    """Return a failure with the remaining distance from a target and the active bounds."""
-    values = step.values
-    at = listed(search.numbers(values))
-    reached = f"The nearest that was reached is {replace(target, target=here).wish}, at {at}"
-    detail = f"{reached}{_held(search, values)}"
-    miss = abs(target.target - here)
-    why = "" if last is None or last.agreement < ON_THE_WAY else last.detail
-    return replace(
-        last or StartOutcome(status=SearchStatus.NOT_SOLVED),
-        status=SearchStatus.NOT_SOLVED,
-        detail=f"{detail}; missed: `{target.wish}` by {miss:.3g}"
-        f"{kept_and_exceeded(search, values, step.cycle)}. {why}".strip(),
-        shortfall=miss,
-    )
-
-
-def _held(search: SearchProblem, values: ParameterValues) -> str:
-    """Return the free values at a bound of their box, in brackets."""
-    held = [
-        f"{name} at its bound {bound:g}"
-        for name, bounds in search.free.items()
-        for bound in bounds
-        if abs(values.number(name) - bound) <= _AT_BOUND * (bounds[1] - bounds[0])
-    ]
-    return f" ({', '.join(held)})" if held else ""

@@ -23,12 +23,12 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.maps import Push, PushSettings, least_push
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Cycle, Orbit, excess
-from zeno_orbits.search.cycles import orbit_of
-from zeno_orbits.search.homotopy.best_on_line import all_kept, bounded_extents
-from zeno_orbits.search.homotopy.homotopy import follow
+from zeno_orbits.orbits import EventReturn, Orbit
+from zeno_orbits.search.closing import event_orbit_of
 from zeno_orbits.search.objectives import MaxPush
-from zeno_orbits.search.search_problem import SearchProblem, listed
+from zeno_orbits.search.outcome import said_of
+from zeno_orbits.search.paths import TO_VALUES, OrbitPaths
+from zeno_orbits.search.search_problem import listed
 from zeno_orbits.simulation import Extent
 
 _PUSHES = PushSettings(phases=6, steps=24, error=1e-3)
@@ -40,23 +40,20 @@ _EVALUATIONS = 24
 
 
 @dataclass(frozen=True, kw_only=True)
-class Strength:
-    """The least push of an orbit.
+class LeastPush:
+    """The least push of an orbit at one corner of uncertain ranges.
 
     Attributes:
-        values: Values of the orbit.
-        cycle: One simulated period of the orbit.
-        place: Values at which the least push occurs: a corner of the uncertain ranges, or
-            ``values``.
-        push: The least push, or ``None`` if an orbit is missing at ``place``.
-        reason: Reason why an orbit is missing. Empty otherwise.
+        corner: Name to value of the uncertain parameters, empty at the search's own.
+        push: The least push, or ``None`` if the orbit is missing there.
+        reason: Reason why it is missing. Empty otherwise.
+        slack: Distance of each bounded quantity from its bounds there, positive inside.
     """
 
-    values: ParameterValues
-    cycle: Cycle | Orbit
-    place: ParameterValues
+    corner: Mapping[str, float]
     push: Push | None
     reason: str = ""
+    slack: Vector
 
     @property
     def impulse(self) -> float:
@@ -65,39 +62,54 @@ class Strength:
             return 0.0
         return self.push.largest if math.isfinite(self.push.largest) else math.inf
 
+
+@dataclass(frozen=True, kw_only=True)
+class Strength:
+    """The least pushes of an orbit.
+
+    Attributes:
+        values: Values of the orbit.
+        found: The orbit.
+        pushes: The least push at the search's own values, and at every corner of uncertain ranges,
+            up to the first corner where the orbit is missing.
+    """
+
+    values: ParameterValues
+    found: EventReturn
+    pushes: tuple[LeastPush, ...]
+
+    @property
+    def least(self) -> LeastPush:
+        """The least of all pushes."""
+        return min(self.pushes, key=lambda one: one.impulse)
+
+    @property
+    def is_kept(self) -> bool:
+        """True if the orbit exists and attracts at every corner."""
+        return all(one.push is not None for one in self.pushes)
+
+    @property
+    def impulse(self) -> float:
+        """The least impulse."""
+        return self.least.impulse
+
     @property
     def extent(self) -> Extent:
         """The least impulse with its error. Without a loss, its lower bound and infinity."""
-        if self.push is not None and math.isinf(self.impulse):
-            return Extent(lowest=self.push.searched, highest=math.inf)
-        error = 0.0 if self.push is None else self.push.error
+        push = self.least.push
+        if push is not None and math.isinf(self.impulse):
+            return Extent(lowest=push.searched, highest=math.inf)
+        error = 0.0 if push is None else push.error
         return Extent(lowest=self.impulse, highest=self.impulse, error=error)
 
     @property
     def text(self) -> str:
         """The least push, where it occurs, and the motion beyond it, as sentences."""
-        changed = {
-            name: value
-            for name, value in self.place.numbers.items()
-            if value != self.values.number(name)
-        }
-        at = f" (at {listed(changed)})" if changed else ""
-        if self.push is None:
-            return f"The orbit is not kept{at}: {self.reason}."
-        return said_of(self.push, at)
-
-
-def said_of(push: Push, at: str = "") -> str:
-    """Return a least push and the motion beyond it, as sentences.
-
-    Args:
-        push: The push.
-        at: Where it occurs, in words that begin with a blank.
-    """
-    if not math.isfinite(push.largest):
-        return f"No push up to {push.searched:.4g} {push.unit} is lost."
-    said = f"{push.largest:.4g} {push.unit} along {push.name}"
-    return f"The least push is {said} at phase {push.phase:.4g}{at}. Beyond it: {push.beyond}."
+        least = self.least
+        at = f" (at {listed(least.corner)})" if least.corner else ""
+        if least.push is None:
+            return f"The orbit is not kept{at}: {least.reason}."
+        return said_of(least.push, at)
 
 
 def push_of(problem: Problem, orbit: Orbit, objective: MaxPush) -> tuple[Push | None, str]:
@@ -118,158 +130,169 @@ def push_of(problem: Problem, orbit: Orbit, objective: MaxPush) -> tuple[Push | 
         return None, str(error).removesuffix(".")
 
 
-def strength(search: SearchProblem, values: ParameterValues, near: Cycle | Orbit) -> Strength:
+def strength(
+    paths: OrbitPaths, objective: MaxPush, values: ParameterValues, found: EventReturn
+) -> Strength:
     """Compute the least push of an orbit, over all corners of the uncertain ranges.
 
     Args:
-        search: The search, with the objective `MaxPush`.
+        paths: The orbits over the free values.
+        objective: The objective.
         values: Values of the orbit.
-        near: The orbit.
+        found: The orbit.
     """
-    objective = _objective(search)
-    least: Strength | None = None
-    for place, orbit, reason in orbits_at_corners(search, values, near):
+    pushes: list[LeastPush] = []
+    outside = np.full(len(paths.bounds), -1.0)
+    for corner, there, reason in orbits_at_corners(paths, objective, values, found):
         push: Push | None = None
-        if orbit is not None:
-            push, reason = push_of(search.problem, orbit, objective)
-        here = Strength(values=values, cycle=near, place=place, push=push, reason=reason)
-        if least is None or here.impulse < least.impulse:
-            least = here
+        slack = outside
+        if there is not None:
+            place = values.replaced(corner)
+            slack = paths.slack(place, there) if paths.bounds else outside
+            orbit = event_orbit_of(paths.problem, place, there)
+            push, reason = push_of(paths.problem, orbit, objective)
+        pushes.append(LeastPush(corner=corner, push=push, reason=reason, slack=slack))
         if push is None:
             break
-    if least is None:
-        raise ValueError("Argument `values` must have an orbit.")
-    return least
+    return Strength(values=values, found=found, pushes=tuple(pushes))
 
 
 def orbits_at_corners(
-    search: SearchProblem, values: ParameterValues, near: Cycle | Orbit
-) -> Iterator[tuple[ParameterValues, Orbit | None, str]]:
-    """Yield values, orbit and reason of its absence, at an orbit and at all uncertain corners.
+    paths: OrbitPaths, objective: MaxPush, values: ParameterValues, found: EventReturn
+) -> Iterator[tuple[Mapping[str, float], EventReturn | None, str]]:
+    """Yield corner, orbit and reason of its absence, at an orbit and at all uncertain corners.
 
     Args:
-        search: The search, with the objective `MaxPush`.
+        paths: The orbits over the free values.
+        objective: The objective, with the uncertain ranges.
         values: Values of the orbit.
-        near: The orbit.
+        found: The orbit.
     """
-    for corner in ({}, *_objective(search).corners):
+    for corner in ({}, *objective.corners):
         place = values.replaced(corner)
-        path = follow(search, near, values, place, attracting=True)
+        path = paths.follow(found, values, place, steps=TO_VALUES)
         if path.orbit is not None and path.arrived:
-            yield place, orbit_of(path.orbit, search.problem, place), ""
+            yield corner, path.orbit, ""
         else:
-            yield place, None, path.loss or "no orbit is near"
+            yield corner, None, path.loss or "no orbit is near"
 
 
-def _objective(search: SearchProblem) -> MaxPush:
-    if not isinstance(search.objective, MaxPush):
-        raise TypeError("Argument `search` must have the objective `MaxPush`.")
-    return search.objective
-
-
-def strongest(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> Strength:
+def strongest(
+    paths: OrbitPaths, objective: MaxPush, values: ParameterValues, found: EventReturn
+) -> Strength:
     """Return the orbit with the largest least push within the bounds. The optimum is local.
 
     Args:
-        search: The search, with the objective `MaxPush`.
+        paths: The orbits over the free values.
+        objective: The objective.
         values: Values of an orbit that satisfies the bounds.
-        cycle: One simulated period of the orbit.
+        found: The orbit.
     """
-    best, slack = _measured(search, values, cycle)
-    if best.push is None:
-        values, cycle = _most_kept(search, values, cycle)
-        best, slack = _measured(search, values, cycle)
-    if best.push is None or math.isinf(best.impulse):
+    best = strength(paths, objective, values, found)
+    if not best.is_kept and paths.free:
+        values, found = _most_kept(paths, objective, values, found)
+        best = strength(paths, objective, values, found)
+    if not best.is_kept or math.isinf(best.impulse) or not paths.free:
         # There is nothing to compare. A longer scan of another orbit is no larger push.
         return best
     size = best.impulse or 1.0
-    start = _in_unit_box(search, values)
-    kept = {start.tobytes(): (best.impulse, slack)}
+    n_rows = len(paths.bounds) * (1 + len(objective.corners))
+    outside = np.full(n_rows, -1.0)
+    start = _in_unit_box(paths, values)
+    kept = {start.tobytes(): (best.impulse, _rows(best, outside))}
 
     def evaluated(z: Vector) -> tuple[float, Vector]:
         """Return the least push and the distances from the bounds, negative outside."""
         nonlocal best
         key = np.asarray(z).tobytes()
         if key not in kept:
-            there = _moved(search, best, z)
+            there = _moved(paths, objective, best, z)
             if there is None:
-                return kept.setdefault(key, (0.0, np.full(len(search.bounds), -1.0)))
-            found, slack = there
-            kept[key] = found.extent.lowest, slack
-            if found.impulse > best.impulse and np.all(slack >= 0.0):
-                best = found
-            search.tell(f"{len(kept)} gains tried: least push {best.extent.lowest:.4g}")
+                return kept.setdefault(key, (0.0, outside))
+            slack = _rows(there, outside)
+            kept[key] = there.extent.lowest, slack
+            if there.impulse > best.impulse and np.all(slack >= 0.0):
+                best = there
+            paths.tell(f"{len(kept)} gains tried: least push {best.extent.lowest:.4g}")
             if math.isinf(best.impulse):
-                raise EnoughError
+                raise _EnoughError
         return kept[key]
 
-    with suppress(EnoughError):
-        highest(
+    with suppress(_EnoughError):
+        _highest(
             lambda z: evaluated(z)[0] / size,
             start,
-            (lambda z: evaluated(z)[1]) if search.bounds else None,
+            (lambda z: evaluated(z)[1]) if n_rows else None,
         )
     return best
 
 
-def _in_unit_box(search: SearchProblem, values: ParameterValues) -> Vector:
+def _rows(one: Strength, outside: Vector) -> Vector:
+    """Return the distances from the bounds at all corners, negative where an orbit is missing."""
+    rows = np.concatenate([push.slack for push in one.pushes])
+    return np.append(rows, outside[len(rows) :])
+
+
+def _in_unit_box(paths: OrbitPaths, values: ParameterValues) -> Vector:
     """Return the free values in units of their ranges, ``(k,)``."""
-    low, high = np.array(list(search.free.values())).T
-    return (np.array([values.number(name) for name in search.free]) - low) / (high - low)
+    low, high = np.array(list(paths.free.values())).T
+    return (np.array([values.number(name) for name in paths.free]) - low) / (high - low)
 
 
-def _from_unit_box(search: SearchProblem, values: ParameterValues, z: Vector) -> ParameterValues:
+def _from_unit_box(paths: OrbitPaths, values: ParameterValues, z: Vector) -> ParameterValues:
     """Return the values with free values in units of their ranges."""
-    low, high = np.array(list(search.free.values())).T
+    low, high = np.array(list(paths.free.values())).T
     numbers = np.clip(low + z * (high - low), low, high)
-    return values.replaced(dict(zip(search.free, numbers.tolist(), strict=True)))
+    return values.replaced(dict(zip(paths.free, numbers.tolist(), strict=True)))
 
 
 def _most_kept(
-    search: SearchProblem, values: ParameterValues, cycle: Cycle
-) -> tuple[ParameterValues, Cycle]:
+    paths: OrbitPaths, objective: MaxPush, values: ParameterValues, found: EventReturn
+) -> tuple[ParameterValues, EventReturn]:
     """Return the orbit that is kept for the largest part of the way to each uncertain corner.
 
     The search ends at the first orbit that all corners keep, with the bounds.
     """
-    first = _kept_part(search, values, cycle)
-    best, farthest = (values, cycle), first
+    first = _kept_part(paths, objective, values, found)
+    best, farthest = (values, found), first
     if first >= 1.0:
         return best
-    start = _in_unit_box(search, values)
+    start = _in_unit_box(paths, values)
 
     def kept(z: Vector) -> float:
         nonlocal best, farthest
         if np.array_equal(z, start):
             return first
         here, near = best
-        wanted = _from_unit_box(search, here, z)
-        path = follow(search, near, here, wanted, attracting=True)
-        if path.orbit is None or not path.arrived or not all_kept(search, wanted, path.orbit):
+        wanted = _from_unit_box(paths, here, z)
+        path = paths.follow(near, here, wanted, steps=TO_VALUES)
+        if path.orbit is None or not path.arrived or not paths.keeps(wanted, path.orbit):
             return -path.left
-        part = _kept_part(search, wanted, path.orbit)
+        part = _kept_part(paths, objective, wanted, path.orbit)
         if part > farthest:
             best, farthest = (wanted, path.orbit), part
-            search.tell(f"orbits kept up to {100 * part:.0f} % of the uncertain ranges")
+            paths.tell(f"orbits kept up to {100 * part:.0f} % of the uncertain ranges")
         if part >= 1.0:
-            raise EnoughError
+            raise _EnoughError
         return part
 
-    with suppress(EnoughError):
-        highest(kept, start, None)
+    with suppress(_EnoughError):
+        _highest(kept, start, None)
     return best
 
 
-def _kept_part(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> float:
+def _kept_part(
+    paths: OrbitPaths, objective: MaxPush, values: ParameterValues, found: EventReturn
+) -> float:
     """Return the smallest part of the way to an uncertain corner at which the orbit is stable."""
-    paths = (
-        follow(search, cycle, values, values.replaced(corner), attracting=True)
-        for corner in _objective(search).corners
+    ways = (
+        paths.follow(found, values, values.replaced(corner), steps=TO_VALUES)
+        for corner in objective.corners
     )
-    return min((path.end for path in paths), default=1.0)
+    return min((way.end for way in ways), default=1.0)
 
 
-def highest(
+def _highest(
     value: Callable[[Vector], float], start: Vector, inside: Callable[[Vector], Vector] | None
 ) -> None:
     """Evaluate a function near its largest value in the unit box, without derivatives.
@@ -296,31 +319,17 @@ def highest(
     )
 
 
-class EnoughError(Exception):
+class _EnoughError(Exception):
     """An orbit was found that ends the search."""
 
 
-def _moved(search: SearchProblem, best: Strength, z: Vector) -> tuple[Strength, Vector] | None:
-    """Return the least push at other values, and the distances from the bounds.
-
-    Return ``None`` if the orbit is lost on the way there.
-    """
-    wanted = _from_unit_box(search, best.values, z)
-    path = follow(search, best.cycle, best.values, wanted, attracting=True)
+def _moved(paths: OrbitPaths, objective: MaxPush, best: Strength, z: Vector) -> Strength | None:
+    """Return the least pushes at other values, or ``None`` if the orbit is lost on the way."""
+    wanted = _from_unit_box(paths, best.values, z)
+    path = paths.follow(best.found, best.values, wanted, steps=TO_VALUES)
     if path.orbit is None or not path.arrived:
         return None
     try:
-        return _measured(search, wanted, path.orbit)
+        return strength(paths, objective, wanted, path.orbit)
     except ZenoOrbitsError:
         return None
-
-
-def _measured(
-    search: SearchProblem, values: ParameterValues, cycle: Cycle
-) -> tuple[Strength, Vector]:
-    """Return the least push of an orbit, and the distances from the bounds."""
-    extents: Mapping[str, Extent] = {}
-    if search.bounds:
-        extents = bounded_extents(search, values, cycle)
-    slack = [-excess(bound, extents[bound.name]) for bound in search.bounds]
-    return strength(search, values, cycle), np.array(slack)

@@ -9,7 +9,7 @@ import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import RELEASE_ROWS, Bound
+from zeno_orbits.orbits import RELEASE_ROWS, Bound, shape_of_events
 from zeno_orbits.search.objectives import (
     LEAST_RADIUS,
     MinEnergy,
@@ -139,8 +139,10 @@ def _check_multipliers(search: SearchProblem) -> None:
     if len(start) - dynamics.holonomic(start).size > len(RELEASE_ROWS):
         return
     if shape is None:
-        cycle = simulated(search, search.values).cycle
-        shape = None if cycle is None else cycle.shape
+        found = simulated(search, search.values).found
+        if found is not None:
+            is_plastic = dynamics.restitution == 0.0
+            shape = shape_of_events(found.events, is_plastic=is_plastic)
     if shape is not None and shape.starts_at_release:
         option = "bounds" if bounded else "objective"
         message = "must not ask for multipliers: the section of its releases is a point"

@@ -128,7 +128,7 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
         "method",
         f": {', '.join(api.METHODS)}: a nonlinear program with all events, orbits that a "
         "simulation closes at every choice of the values, or the program with shooting as its "
-        "check and substitute (default: auto; with one stop the search by phases, if it serves)",
+        "check and substitute (default: auto)",
         choices=api.METHODS,
     )
 

@@ -282,10 +282,12 @@ def course_signal_names(compiled: CompiledGraph) -> tuple[str, ...]:
     return signal_names(compiled.system(((), sides), 0))
 
 
-def is_electrical(compiled: CompiledGraph) -> bool:
-    """Return True if a source can deliver electrical energy to a machine.
+def has_source(compiled: CompiledGraph) -> bool:
+    """Return True if a source or an external force can deliver energy to a machine.
 
     Args:
         compiled: Its functions.
     """
-    return not compiled.graph.drive.input_power.is_zero()
+    system = compiled.system(((), (True,) * len(compiled.graph.conditions)), 0)
+    x, p = ca.SX.sym("x", system.n_x), ca.SX.sym("p", system.powers.numel_in(1))
+    return not system.powers(x, p)[0].is_zero()

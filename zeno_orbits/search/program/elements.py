@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from zeno_orbits.arrays import Array, Rows
-from zeno_orbits.search.transcription.ipopt import IpoptSettings, SolveStatus, quiet_interrupts
+from zeno_orbits.search.program.ipopt import IpoptSettings, SolveStatus, quiet_interrupts
 
 _ca: Any = ca
 """CasADi without types, for expressions of mixed kinds, which its stubs do not follow."""

@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Array
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
 from zeno_orbits.orbits import EventReturn
-from zeno_orbits.search.transcription.closure import closure_of
+from zeno_orbits.search.program.closure import closure_of
 from zeno_orbits.simulation import Arc, Ending, Event, Impact, Release, SwitchEvent, ZenoPoint
 
 
@@ -26,10 +26,12 @@ class Tail:
     Attributes:
         legs: Places of the legs that end at the resolved impacts, in order.
         nodes: Places of those that determine the limit.
+        error: Estimated relative error of the limit.
     """
 
     legs: tuple[int, ...]
     nodes: tuple[int, ...]
+    error: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -219,6 +221,10 @@ def _closed(graph: GraphDynamics, legs: Sequence[Leg], tolerance: float) -> tupl
             kept[-1],
             ending=Ending.ZENO,
             after=leg.after,
-            tail=Tail(legs=places, nodes=tuple(first + node for node in closure.nodes)),
+            tail=Tail(
+                legs=places,
+                nodes=tuple(first + node for node in closure.nodes),
+                error=closure.error,
+            ),
         )
     return tuple(kept)

@@ -27,6 +27,7 @@ from zeno_orbits.orbits import (
 )
 from zeno_orbits.search.objectives import MinPeak, Objective, Target
 from zeno_orbits.search.program.elements import ElementBuilder, ElementProgram, ElementSolution
+from zeno_orbits.search.program.ipopt import IpoptSettings, SolveStatus
 from zeno_orbits.search.program.terms import (
     ReadingPlace,
     SearchTerms,
@@ -37,11 +38,10 @@ from zeno_orbits.search.program.terms import (
 )
 from zeno_orbits.search.program.writer import (
     PeriodProgram,
-    WriterSettings,
+    TranscriptionSettings,
     free_places,
     write_period,
 )
-from zeno_orbits.search.transcription.ipopt import IpoptSettings, SolveStatus
 from zeno_orbits.simulation import Event, Impact, SimulationSettings
 from zeno_orbits.work import Progress, silent
 
@@ -372,7 +372,9 @@ def _written(
     signals = signals_of(task.objective, task.bounds, graph)
     is_fine = bool(signals) or (state.has_contacts and task.is_measured)
     mesh = _FINE if is_fine else _MESH
-    writing = WriterSettings(mesh=mesh, backward=_BACKWARD if state.number < _FORWARD else 0.0)
+    writing = TranscriptionSettings(
+        mesh_tolerance=mesh, backward=_BACKWARD if state.number < _FORWARD else 0.0
+    )
     pairs = [(here.values, here.found)]
     pairs += [
         (here.values.replaced(corner), found)

@@ -22,7 +22,7 @@ from zeno_orbits.orbits import EventReturn
 from zeno_orbits.search.program.elements import ElementBuilder, LegElement, Terms
 from zeno_orbits.search.program.formulas import FALL, GUARD, MachineFormulas, formulas_of_machine
 from zeno_orbits.search.program.legs import Leg, legs_of
-from zeno_orbits.search.transcription.mesh import graded_mesh, stage_fractions
+from zeno_orbits.search.program.mesh import graded_mesh, stage_fractions
 from zeno_orbits.simulation import Ending, Impact, tail_time
 from zeno_orbits.work import Checked
 
@@ -37,20 +37,21 @@ _FALLS = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WriterSettings(Checked):
-    """Accuracy of the rows.
+class TranscriptionSettings(Checked):
+    """Scheme and tolerances of a program.
 
     Attributes:
         n_stages: Radau stages of an interval.
-        mesh: Largest relative deviation of a polynomial from the guess.
-        zeno: Largest relative error of a Zeno point.
+        mesh_tolerance: Largest deviation of an interval's polynomial from the guess between its
+            stages, in units of the size of each state. Ends of intervals are more accurate.
+        closure_tolerance: Largest estimated relative error of a Zeno point.
         backward: Part of its duration for which a plain flow may run backward. So two events can
             change their order.
     """
 
     n_stages: int = 7
-    mesh: float = 3e-8
-    zeno: float = 1e-11
+    mesh_tolerance: float = 3e-8
+    closure_tolerance: float = 1e-11
     backward: float = 0.0
 
 
@@ -149,7 +150,7 @@ def write_period(
     free: Mapping[str, int],
     *,
     has_work: bool = False,
-    settings: WriterSettings | None = None,
+    settings: TranscriptionSettings | None = None,
 ) -> PeriodProgram:
     """Add the rows of a periodic orbit to a program.
 
@@ -161,7 +162,7 @@ def write_period(
         has_work: Whether the electrical work is needed.
         settings: Accuracy of the rows.
     """
-    settings = settings or WriterSettings()
+    settings = settings or TranscriptionSettings()
     machine = formulas_of_machine(graph.compiled, tuple(free))
     writer = _Writer(
         builder=builder,
@@ -170,7 +171,7 @@ def write_period(
         free=np.array(list(free.values()), dtype=np.intp),
         settings=settings,
         has_work=has_work,
-        legs=legs_of(graph, found, settings.zeno),
+        legs=legs_of(graph, found, settings.closure_tolerance),
     )
     return writer.written()
 
@@ -197,7 +198,7 @@ class _Writer:
     graph: GraphDynamics
     machine: MachineFormulas
     free: Rows
-    settings: WriterSettings
+    settings: TranscriptionSettings
     has_work: bool
     legs: tuple[Leg, ...]
 
@@ -263,7 +264,7 @@ class _Writer:
             lambda at: leg.trajectory(self.graph, at),
             scheme,
             scale=ys,
-            tolerance=self.settings.mesh,
+            tolerance=self.settings.mesh_tolerance,
             most=sum(len(arc.flow_times) for arc in leg.pieces) + 16,
         )
         start = builder.unknowns(leg.trajectory(self.graph, np.zeros(1))[0, :n], sizes)

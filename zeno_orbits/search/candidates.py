@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -16,27 +15,21 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import EventReturn, Orbit, orbit_event_name
 from zeno_orbits.search.closing import return_near
-from zeno_orbits.search.events.outcome import AcceptEvents, EventCandidate, EventSearchResult
-from zeno_orbits.search.outcome import StartAttempt, Verdict
+from zeno_orbits.search.gains import GainSearch
+from zeno_orbits.search.outcome import (
+    Accept,
+    EventCandidate,
+    EventSearchResult,
+    StartAttempt,
+    Verdict,
+)
 from zeno_orbits.search.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.simulation import SimulationSettings, state_before
 from zeno_orbits.work import Progress, silent
 
 
-class EventStarts(Protocol):
-    """A search from one start."""
-
-    def returned(self, place: ParameterValues, start: Mapping[str, float] | None) -> EventReturn:
-        """Return the orbit at values, from an initial state."""
-        ...
-
-    def result(self, found: EventReturn, place: ParameterValues) -> EventSearchResult:
-        """Return the result of the search from an orbit at values."""
-        ...
-
-
-def judged(result: EventSearchResult, accept: AcceptEvents | None) -> EventSearchResult:
+def judged(result: EventSearchResult, accept: Accept | None) -> EventSearchResult:
     """Return a result with the certificate of its orbit, if there is a check.
 
     Args:
@@ -46,9 +39,7 @@ def judged(result: EventSearchResult, accept: AcceptEvents | None) -> EventSearc
     return _judged(result, accept)[0]
 
 
-def _judged(
-    result: EventSearchResult, accept: AcceptEvents | None
-) -> tuple[EventSearchResult, Verdict]:
+def _judged(result: EventSearchResult, accept: Accept | None) -> tuple[EventSearchResult, Verdict]:
     """Return a result with the certificate of its orbit, and the judgement."""
     if result.orbit is None or accept is None:
         return result, Verdict()
@@ -61,13 +52,13 @@ def _judged(
 
 def ranked_candidates(
     problem: Problem,
-    search: EventStarts,
+    search: GainSearch,
     places: Sequence[ParameterValues],
     *,
     start: Mapping[str, float] | None,
     free: tuple[str, ...],
     n_wanted: int,
-    accept: AcceptEvents | None,
+    accept: Accept | None,
     until: float | None,
     seed: int,
     simulation: SimulationSettings,
@@ -119,9 +110,9 @@ class _Ranking:
     def __init__(
         self,
         problem: Problem,
-        search: EventStarts,
+        search: GainSearch,
         free: tuple[str, ...],
-        accept: AcceptEvents | None,
+        accept: Accept | None,
         simulation: SimulationSettings,
     ) -> None:
         self._problem, self._search, self._free = problem, search, free
@@ -146,7 +137,7 @@ class _Ranking:
         """
         status, detail = SearchStatus.NO_GUESS, ""
         try:
-            result = self._search.result(self._search.returned(place, start), place)
+            result = self._search.best(self._search.returned(place, start), place).result
         except ZenoOrbitsError as error:
             self._trouble, detail = error, str(error)
         else:
@@ -167,10 +158,11 @@ class _Ranking:
             found = self._search.returned(values, state)
             known = [one.orbit for _, one in self.found]
             if not any(
-                orbit.values(self._problem) == values and self._has_last_event(orbit, found)
+                orbit.values(self._problem) == values
+                and has_last_event(self._problem, orbit, found)
                 for orbit in known
             ):
-                self._joined(self._search.result(found, values))
+                self._joined(self._search.best(found, values).result)
         except ZenoOrbitsError:
             # The approximate attractor of a short simulation may be none.
             return
@@ -237,18 +229,23 @@ class _Ranking:
             there = return_near(self._problem, b, one.orbit, simulation=self._simulation)
         except ZenoOrbitsError:
             return False
-        return self._has_last_event(other.orbit, there)
+        return has_last_event(self._problem, other.orbit, there)
 
-    def _has_last_event(self, orbit: Orbit, found: EventReturn) -> bool:
-        """Return True if an orbit has the last event of a return."""
-        problem = self._problem
-        events = [(one.name, np.array(problem.state_vector(one.state))) for one in orbit.events]
-        graph = problem.graph_dynamics(orbit.values(problem))
-        largest = np.max(np.abs(np.array([state for _, state in events])), axis=0)
-        sizes = graph.own.not_small(largest, SAME_STATE)
-        last, state = found.events[-1], np.asarray(state_before(found.events[-1]))
-        return any(
-            name == orbit_event_name(last)
-            and bool(np.all(np.abs(other - state) <= SAME_STATE * sizes))
-            for name, other in events
-        )
+
+def has_last_event(problem: Problem, orbit: Orbit, found: EventReturn) -> bool:
+    """Return True if an orbit has the last event of a return.
+
+    Args:
+        problem: The problem.
+        orbit: The orbit.
+        found: The return.
+    """
+    events = [(one.name, np.array(problem.state_vector(one.state))) for one in orbit.events]
+    graph = problem.graph_dynamics(orbit.values(problem))
+    largest = np.max(np.abs(np.array([state for _, state in events])), axis=0)
+    sizes = graph.own.not_small(largest, SAME_STATE)
+    last, state = found.events[-1], np.asarray(state_before(found.events[-1]))
+    return any(
+        name == orbit_event_name(last) and bool(np.all(np.abs(other - state) <= SAME_STATE * sizes))
+        for name, other in events
+    )

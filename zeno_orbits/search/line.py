@@ -1,6 +1,6 @@
 """Orbits along a straight line of values, up to its end or to an extrapolated loss (theory (5.4)).
 
-An orbit of any kind is closed at each point of the line, from the secant through the last two. Its
+The orbit is closed at each point of the line, from the secant through the last two. Its
 margins vanish where the orbit is lost.
 """
 
@@ -9,16 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Generic, TypeVar
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import ParameterValues
-from zeno_orbits.orbits import PathStep, StepControl, follow_path
-
-T = TypeVar("T")
-T_co = TypeVar("T_co", covariant=True)
+from zeno_orbits.orbits import EventReturn, PathStep, StepControl, follow_path
 
 _GONE = 0.02
 """A margin below this part of its first value vanishes at the end of a path."""
@@ -31,7 +27,7 @@ _EXTRAPOLATED = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LinePoint(Generic[T_co]):
+class LinePoint:
     """An orbit on a line.
 
     Attributes:
@@ -43,12 +39,12 @@ class LinePoint(Generic[T_co]):
 
     part: float
     start: Vector
-    orbit: T_co
+    orbit: EventReturn
     margins: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Followed(Generic[T_co]):
+class Followed:
     """Last orbit on a straight line between two sets of parameter values.
 
     Attributes:
@@ -63,7 +59,7 @@ class Followed(Generic[T_co]):
         end_error: Estimated error of ``end``.
     """
 
-    orbit: T_co | None
+    orbit: EventReturn | None
     values: ParameterValues
     arrived: bool
     ending: str = ""
@@ -87,15 +83,15 @@ def values_on_line(first: ParameterValues, last: ParameterValues, part: float) -
 
 
 def follow_line(
-    first: LinePoint[T],
-    closed: Callable[[float, Vector, LinePoint[T]], LinePoint[T]],
+    first: LinePoint,
+    closed: Callable[[float, Vector, LinePoint], LinePoint],
     easy: ParameterValues,
     wanted: ParameterValues,
     *,
     steps: StepControl,
     losses: Mapping[str, str],
     tell: Callable[[str], object],
-) -> Followed[T]:
+) -> Followed:
     """Continue an orbit along a straight line of values.
 
     Args:
@@ -111,7 +107,7 @@ def follow_line(
     """
     refusal = ""
 
-    def advance(points: Sequence[LinePoint[T]], step: float) -> PathStep[LinePoint[T], bool]:
+    def advance(points: Sequence[LinePoint], step: float) -> PathStep[LinePoint, bool]:
         here, before = points[-1], points[-2:][0]
         part = min(1.0, here.part + step)
         guess = here.start
@@ -122,12 +118,12 @@ def follow_line(
         there = closed(part, guess, here)
         return PathStep(points=(there,), easy=True, end=True if part >= 1.0 else None)
 
-    def give_up(_points: Sequence[LinePoint[T]], reason: str) -> PathStep[LinePoint[T], bool]:
+    def give_up(_points: Sequence[LinePoint], reason: str) -> PathStep[LinePoint, bool]:
         nonlocal refusal
         refusal = reason
         return PathStep(end=False)
 
-    points: tuple[LinePoint[T], ...] = (first,)
+    points: tuple[LinePoint, ...] = (first,)
     if first.part < 1.0:
         points = follow_path(first, steps, advance, give_up=give_up).points
     last = points[-1]
@@ -162,7 +158,7 @@ def _place(easy: ParameterValues, wanted: ParameterValues, part: float, error: f
     )
 
 
-def _cause(points: Sequence[LinePoint[T]], losses: Mapping[str, str]) -> str | None:
+def _cause(points: Sequence[LinePoint], losses: Mapping[str, str]) -> str | None:
     """Return the margin whose loss ends a path, among the margins that vanish there.
 
     The cause decreases slowest: the other margins vanish as a power of it. If several margins
@@ -189,7 +185,7 @@ def _cause(points: Sequence[LinePoint[T]], losses: Mapping[str, str]) -> str | N
 
 
 def _end_of(
-    points: Sequence[LinePoint[T]], losses: Mapping[str, str], shortest: float
+    points: Sequence[LinePoint], losses: Mapping[str, str], shortest: float
 ) -> tuple[str | None, float, float]:
     """Return the margin whose loss ends a path, the part at which it vanishes, and its error."""
     last = points[-1].part
@@ -210,7 +206,7 @@ def _end_of(
     return cause, last, shortest if cause is None else _NEAR * shortest
 
 
-def _zero_of(points: Sequence[LinePoint[T]], name: str) -> tuple[float, float]:
+def _zero_of(points: Sequence[LinePoint], name: str) -> tuple[float, float]:
     """Return the part of a path at which a margin vanishes, and the last change of the result.
 
     A polynomial of the margin interpolates the part through the last orbits. It is evaluated at

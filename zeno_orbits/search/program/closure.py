@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.orbits import Cycle
 from zeno_orbits.simulation import Impact, TailEstimate, estimate_tail, extrapolate, spread_nodes
 
 
@@ -25,22 +24,6 @@ class Closure:
     n_impacts: int
     nodes: tuple[int, ...]
     error: float
-
-
-def closures_of(cycle: Cycle, dynamics: HybridDynamics, tolerance: float) -> tuple[Closure, ...]:
-    """Return the closure of each phase. A single impact without a Zeno point has error zero.
-
-    Args:
-        cycle: One period of a simulation.
-        dynamics: The system.
-        tolerance: Largest relative error of a Zeno point.
-    """
-    return tuple(
-        Closure(n_impacts=1, nodes=(), error=0.0)
-        if phase.zeno is None
-        else closure_of(phase.impacts, dynamics, tolerance)
-        for phase in cycle.phases
-    )
 
 
 def closure_of(impacts: Sequence[Impact], dynamics: HybridDynamics, tolerance: float) -> Closure:

@@ -1,57 +1,41 @@
-"""Gains of orbits of events: the best orbit in given ranges.
+"""The best orbit in given ranges of gains and parameters, by two methods.
 
-The orbit is closed anew at every choice of the free values, and the derivatives of objective and
-bounds along the orbits are exact. Uncertain parameters count with their worst corner.
+A program has the orbit and the free values as unknowns. Shooting closes the orbit anew at every
+choice of the free values, with exact derivatives of objective and bounds along the orbits.
+Uncertain parameters count with their worst corner.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.maps import Push
-from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, unknown
+from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import (
     ENERGY,
-    PERIOD,
     Bound,
     EventReturn,
+    EventSequence,
     Orbit,
     StepError,
     asked_and_reached,
-    at_section,
-    course_signal_names,
-    event_quantity_names,
-    is_electrical,
+    excess,
+    margins_of_return,
     objection_to,
     orbit_event_name,
-    require_event_quantity,
 )
 from zeno_orbits.search.closing import (
     event_orbit_of,
-    require_no_other_start,
     return_near,
     settled_return,
 )
-from zeno_orbits.search.events.candidates import judged, ranked_candidates
-from zeno_orbits.search.events.margins import EventWays
-from zeno_orbits.search.events.optimum import PRECISION, Optimum, Sample, along_edges, least_worst
-from zeno_orbits.search.events.outcome import AcceptEvents, EventSearchResult
-from zeno_orbits.search.events.points import (
-    DIFFERENCED,
-    RADIUS,
-    NoEventError,
-    OrbitAtValues,
-    OrbitsOverValues,
-    Slope,
-)
-from zeno_orbits.search.homotopy.persistence import widest
+from zeno_orbits.search.nearness import nearness_of
 from zeno_orbits.search.objectives import (
     MaxMargin,
     MaxPush,
@@ -62,19 +46,27 @@ from zeno_orbits.search.objectives import (
     Objective,
     OfImpacts,
     Target,
-    TargetAmplitude,
     TargetPeriod,
     WorstCase,
     corners_of,
 )
+from zeno_orbits.search.optimum import PRECISION, Optimum, Sample, along_edges, least_worst
+from zeno_orbits.search.outcome import Accept, EventSearchResult
+from zeno_orbits.search.paths import TO_VALUES, OrbitPaths
+from zeno_orbits.search.persistence import widest
+from zeno_orbits.search.points import (
+    DIFFERENCED,
+    RADIUS,
+    NoEventError,
+    OrbitAtValues,
+    OrbitsOverValues,
+    Slope,
+)
 from zeno_orbits.search.program.rounds import ProgramTask, orbit_by_program
 from zeno_orbits.search.program.terms import lacking_terms, signals_of
-from zeno_orbits.search.search_problem import clipped
+from zeno_orbits.search.search_problem import listed
 from zeno_orbits.search.settings import SearchMethod
-from zeno_orbits.search.strength import EnoughError, highest, push_of
-from zeno_orbits.search.transcription.constraints import size_of
-from zeno_orbits.search.transcription.nearness import Nearness
-from zeno_orbits.search.validation import require_possible_bounds
+from zeno_orbits.search.strength import strongest
 from zeno_orbits.simulation import Extent, SimulationSettings
 from zeno_orbits.work import Progress, silent
 
@@ -89,106 +81,16 @@ _NEARLY = 1e-5
 """Violation of a program's orbit, in units of its bounds, that shooting removes."""
 _SAME_VALUE = 1e-6
 """Relative difference of the optima of two methods that is reported."""
-_SMALLEST_SIZE = 1e-2
-"""Smallest size of a free value, in units of its range."""
-
-
-def search_event_orbits(
-    problem: Problem,
-    values: ParameterValues,
-    *,
-    free: Mapping[str, tuple[float, float]],
-    objective: Objective | None = None,
-    bounds: Sequence[Bound] = (),
-    near: Orbit | None = None,
-    start: Mapping[str, float] | None = None,
-    section: str | None = None,
-    until: float | None = None,
-    n_starts: int = 12,
-    seed: int = 0,
-    candidates: int = 1,
-    method: SearchMethod = SearchMethod.AUTO,
-    accept: AcceptEvents | None = None,
-    simulation: SimulationSettings | None = None,
-    on_progress: Progress = silent,
-) -> EventSearchResult:
-    """Return the best orbit of events of a machine, or several of them, ranked.
-
-    Args:
-        problem: The problem.
-        values: Values of its gains and parameters. Free values start there.
-        free: Name to range of the free gains and parameters.
-        objective: The objective, by default values near their start.
-        bounds: Bounds on signals, on the period, the energy, the spectral radius and margins, and
-            on quantities of events, at every corner.
-        near: A known orbit at which the search starts, in place of a motion that settles.
-        start: State name to initial value, by default each start of the problem in turn.
-        section: Name of the event at which the period starts and ends. By default it is chosen.
-        until: Longest time to settle [s].
-        n_starts: Number of further free values, from all over the ranges, that are tried in turn
-            until a motion settles to an orbit.
-        seed: Seed of these values, and of the initial states of several orbits.
-        candidates: Number of different orbits that are searched, and ranked.
-        method: How the optimum is found.
-        accept: Check of the orbits. Only accepted orbits are ranked. By default there is no check.
-        simulation: Accuracy.
-        on_progress: Called with the stage.
-
-    Raises:
-        InputError: If a name or range is invalid, or the objective needs another machine.
-        SimulationError: If no motion settles to an orbit at any of the free values.
-    """
-    wish = objective or NearestGains(target={})
-    _require_valid(problem, values, free, wish, bounds)
-    if isinstance(wish, NearestGains):
-        values = values.replaced(wish.target)
-    if near is not None:
-        require_no_other_start(start, section)
-        n_starts = 0
-    search = _Search(
-        problem=problem,
-        origin=clipped(values, free),
-        free=free,
-        objective=wish,
-        bounds=tuple(bounds),
-        method=method,
-        accept=accept,
-        near=near,
-        section=section,
-        until=until,
-        simulation=simulation or SimulationSettings(),
-        on_progress=on_progress,
-    )
-    places = _places(search.origin, free, n_starts, seed)
-    if candidates > 1:
-        return ranked_candidates(
-            problem,
-            search,
-            places,
-            start=start,
-            free=tuple(free),
-            n_wanted=candidates,
-            accept=accept,
-            until=until,
-            seed=seed,
-            simulation=search.simulation,
-            on_progress=on_progress,
-        )
-    trouble: SimulationError | None = None
-    for place in places:
-        try:
-            found = search.returned(place, start)
-        except SimulationError as error:
-            trouble = error
-            continue
-        return judged(search.result(found, place), accept)
-    if trouble is None:
-        raise AssertionError("A search has a first place.")
-    raise trouble
+_AT_BOUND = 0.02
+"""Distance below which a value is at its bound, in units of its range."""
+_GONE = 0.02
+"""Part of its value at the first trial below which a margin of an orbit vanishes."""
+_SMALL_STEP = 1e-9
+"""Part of the largest step of a free value below which a value does not change."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Search:
+class GainSearch:
     """A search for gains, without its starts.
 
     Attributes:
@@ -201,6 +103,9 @@ class _Search:
         accept: Check of the orbits, or ``None``.
         near: A known orbit at which the search starts, in place of a motion that settles.
         section: Name of the event at which the period starts and ends. By default it is chosen.
+        shape: Phases of the period of a machine with the stop `stop`. The default is any.
+        starts: Initial states of motions that settle, name to value. By default they are those of
+            the problem.
         until: Longest time to settle [s].
         simulation: Accuracy.
         on_progress: Called with the stage.
@@ -211,13 +116,15 @@ class _Search:
     free: Mapping[str, tuple[float, float]]
     objective: Objective
     bounds: tuple[Bound, ...]
-    method: SearchMethod
-    accept: AcceptEvents | None
-    near: Orbit | None
-    section: str | None
-    until: float | None
-    simulation: SimulationSettings
-    on_progress: Progress
+    method: SearchMethod = SearchMethod.AUTO
+    accept: Accept | None = None
+    near: Orbit | None = None
+    section: str | None = None
+    shape: EventSequence | None = None
+    starts: tuple[Mapping[str, float], ...] = ()
+    until: float | None = None
+    simulation: SimulationSettings = field(default_factory=SimulationSettings)
+    on_progress: Progress = silent
 
     @property
     def _uncertain(self) -> Mapping[str, tuple[float, float]]:
@@ -245,16 +152,17 @@ class _Search:
         return settled_return(
             self.problem,
             place,
-            starts=() if start is None else (start,),
+            starts=self.starts if start is None else (start,),
             section=self.section,
+            shape=self.shape,
             until=self.until,
             simulation=self.simulation,
             changing=(*self.free, *self._uncertain),
             on_progress=self.on_progress,
         )
 
-    def result(self, found: EventReturn, place: ParameterValues) -> EventSearchResult:
-        """Return the result of the search from an orbit.
+    def best(self, found: EventReturn, place: ParameterValues) -> BestOrbit:
+        """Return the best orbit near an orbit.
 
         Where the check refuses the optimum of a program, shooting may end at another one.
 
@@ -267,36 +175,39 @@ class _Search:
             SimulationError: If a corner has no orbit there.
         """
         best = self._by(self.method, found, place)
-        if self.method is not SearchMethod.AUTO or best.method is not SearchMethod.PROGRAM:
+        if self.method is not SearchMethod.AUTO or best.result.method is not SearchMethod.PROGRAM:
             return best
         objection = self._objection(best)
         if not objection:
             return best
         other = self._by(SearchMethod.SHOOTING, found, place)
-        if other.orbit is None or self._objection(other):
+        if other.result.orbit is None or self._objection(other):
             return best
-        remark = f"The optimum of the program, {best.value:.10g}, was refused: {objection}"
-        return replace(other, iterations=best.iterations, remarks=(remark,))
+        value = best.result.value
+        remark = f"The optimum of the program, {value:.10g}, was refused: {objection}"
+        return other.told(iterations=best.result.iterations, remarks=(remark,))
 
-    def _objection(self, result: EventSearchResult) -> str:
+    def _objection(self, best: BestOrbit) -> str:
         """Return the reason why the check refuses an orbit, empty if it does not."""
-        if result.orbit is None or self.accept is None:
+        if best.result.orbit is None or self.accept is None:
             return ""
-        return self.accept(result.orbit).objection
+        return self.accept(best.result.orbit).objection
 
-    def _by(
-        self, method: SearchMethod, found: EventReturn, place: ParameterValues
-    ) -> EventSearchResult:
-        """Return the result of the search by a method from an orbit."""
+    def _by(self, method: SearchMethod, found: EventReturn, place: ParameterValues) -> BestOrbit:
+        """Return the best orbit by a method, from an orbit."""
         orbits = OrbitsOverValues(
             problem=self.problem,
             values=place,
             names=tuple(self.free),
             simulation=self.simulation,
+            starts=self.starts,
+            shape=self.shape,
         )
         if isinstance(self.objective, TargetPeriod):
             self.objective.require_near([found.period])
         orbits.begin(found)
+        # The least push over the corners follows from the orbit at the search's own parameters.
+        corners = () if isinstance(self.objective, MaxPush) else corners_of(self._uncertain)
         task = _Task(
             orbits=orbits,
             origin=self.origin,
@@ -305,10 +216,37 @@ class _Search:
             objective=self.objective,
             bounds=self.bounds,
             method=method,
-            corners=({}, *corners_of(self._uncertain)),
+            corners=({}, *corners),
             on_progress=self.on_progress,
         )
-        return _result(task, np.array([place.number(name) for name in self.free]))
+        return _result(task, place)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BestOrbit:
+    """The end of a search from one orbit.
+
+    Attributes:
+        result: The result.
+        values: Values at the end.
+        found: The orbit there.
+        violation: Largest violation of a bound or a target, in units of its size.
+        is_last: True if the orbit is the last one before the end of a family.
+    """
+
+    result: EventSearchResult
+    values: ParameterValues
+    found: EventReturn
+    violation: float
+    is_last: bool
+
+    def told(self, **changes: Any) -> BestOrbit:
+        """Return the same end with other fields of the result.
+
+        Args:
+            changes: The fields.
+        """
+        return replace(self, result=replace(self.result, **changes))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -365,8 +303,26 @@ class _Task:
                     rows += found
         if isinstance(self.objective, Target):
             target = self.objective.target
-            equal.append(self._in_box(self.prescribed(points[0]).scaled(1 / target, target)))
+            equal.append(
+                self._in_box(points[0].prescribed(self.objective).scaled(1 / target, target))
+            )
         return Sample(u=u, points=points, costs=costs, rows=tuple(rows), equal=tuple(equal))
+
+    def bound_equations(self, trial: Sample) -> tuple[Slope, ...]:
+        """Return the residuals of bounds with equal ends.
+
+        Args:
+            trial: The trial. A target is its last equation.
+        """
+        return trial.equal[:-1] if isinstance(self.objective, Target) else trial.equal
+
+    def excess(self, trial: Sample) -> float:
+        """Return the largest violation of a bound, zero if all bounds hold.
+
+        Args:
+            trial: The trial.
+        """
+        return replace(trial, equal=self.bound_equations(trial)).violation
 
     def sized(self, numbers: Vector) -> _Task:
         """Return the task with the sizes of the bounded quantities at free values.
@@ -378,7 +334,7 @@ class _Task:
         if not self.bounds:
             return self
         point = self.orbits.at(numbers, {})
-        sizes = {one.name: size_of(one, point.extent(one.name).largest) for one in self.bounds}
+        sizes = {one.name: _size_of(one, point.extent(one.name)) for one in self.bounds}
         return replace(self, sizes=sizes)
 
     def near(self, first: Sample, *, precision: float = PRECISION) -> Optimum:
@@ -418,12 +374,6 @@ class _Task:
             number.scaled(sign).scaled(-1 / size, end) for sign, end in ends if math.isfinite(end)
         ]
 
-    def prescribed(self, point: OrbitAtValues) -> Slope:
-        """Return the quantity whose value the objective prescribes."""
-        if isinstance(self.objective, TargetAmplitude):
-            return point.amplitude(self.objective.state)
-        return point.slopes(PERIOD)[0]
-
     def _costs(self, point: OrbitAtValues, numbers: Vector) -> tuple[Slope, ...]:
         """Return the numbers whose largest is the objective."""
         if isinstance(self.objective, OfImpacts):
@@ -434,25 +384,12 @@ class _Task:
             return point.peak_costs(self.objective.signal)
         if isinstance(self.objective, MinSpectralRadius):
             return (self.orbits.differenced(RADIUS, point, numbers, self.ranges, {}),)
-        first, sizes = self._first, self._units
+        nearness = nearness_of(self.origin, self.free)
         here = dict(zip(self.free, map(float, numbers), strict=True))
-        wanted = {**first, **self.objective.goal}
-        value = float(Nearness(first=first, sizes=sizes).distance(here, self.objective.goal))
-        by = [(here[name] - wanted[name]) / sizes[name] ** 2 for name in self.free]
+        wanted = {**nearness.first, **self.objective.goal}
+        value = nearness.distance(here, self.objective.goal)
+        by = [(here[name] - wanted[name]) / nearness.sizes[name] ** 2 for name in self.free]
         return (Slope(value=value, by=np.array(by)),)
-
-    @property
-    def _first(self) -> dict[str, float]:
-        """Name to value near which a free value stays without another objective."""
-        return {name: self.origin.number(name) for name in self.free}
-
-    @property
-    def _units(self) -> dict[str, float]:
-        """Name to unit of the distance of a free value."""
-        return {
-            name: max(abs(self.origin.number(name)), _SMALLEST_SIZE * (high - low))
-            for name, (low, high) in self.free.items()
-        }
 
     def by_program(self, first: Sample) -> tuple[Optimum, int]:
         """Return the optimum of the program near a first trial, and Ipopt's iterations.
@@ -465,6 +402,7 @@ class _Task:
             StepError: If an event of the objective or a bound does not occur there.
         """
         own, *others = first.points
+        nearness = nearness_of(self.origin, self.free)
         solved = orbit_by_program(
             self.orbits.problem,
             own.values,
@@ -474,8 +412,8 @@ class _Task:
                 objective=self.objective,
                 bounds=self.bounds,
                 sizes=self.sizes,
-                origin=self._first,
-                units=self._units,
+                origin=nearness.first,
+                units=nearness.sizes,
                 corners=self.corners[1:],
             ),
             corners=[point.found for point in others],
@@ -485,45 +423,56 @@ class _Task:
         found = (solved.found, *solved.corners)
         for corner, orbit in zip(self.corners, found, strict=True):
             self.orbits.begin(orbit, corner)
-        low, high = self.ranges.T
-        numbers = np.array([solved.values.number(name) for name in self.free])
-        trial = self.trial((numbers - low) / np.where(high > low, high - low, 1.0))
+        trial = self.trial(self.in_box(solved.values))
         optimum = Optimum(trial=trial, converged=solved.converged, reason=solved.detail)
         return optimum, solved.iterations
 
-    def pushes(self, trial: Sample) -> list[tuple[float, Push | None]]:
-        """Return the least impulse at every corner of a trial, zero where the orbit is unstable."""
-        problem, objective = self.orbits.problem, self.objective
-        if not isinstance(objective, MaxPush):
-            raise TypeError("Argument `self` must have the objective `MaxPush`.")
-        found: list[tuple[float, Push | None]] = []
-        for point in trial.points:
-            orbit = event_orbit_of(problem, point.values, point.found)
-            push, _ = push_of(problem, orbit, objective)
-            impulse = math.inf if push is not None else 0.0
-            if push is not None and math.isfinite(push.largest):
-                impulse = push.largest
-            found.append((impulse, push))
-        return found
+    def paths(self) -> OrbitPaths:
+        """Return the orbits over the free values as lines."""
+        return OrbitPaths(
+            orbits=self.orbits, free=self.free, bounds=self.bounds, on_progress=self.on_progress
+        )
+
+    def from_path(self, values: ParameterValues, found: EventReturn, section: str) -> Sample:
+        """Return the trial at a followed orbit.
+
+        Args:
+            values: Its values.
+            found: The orbit.
+            section: Name of the event at which the orbits start.
+
+        Raises:
+            SimulationError: If the orbit has no such event, or does not return.
+        """
+        self.orbits.begin(self.paths().back(found, values, section))
+        return self.trial(self.in_box(values))
+
+    def in_box(self, values: ParameterValues) -> Vector:
+        """Return the free values in the unit box.
+
+        Args:
+            values: The values.
+        """
+        low, high = self.ranges.T
+        numbers = np.array([values.number(name) for name in self.free])
+        return (numbers - low) / np.where(high > low, high - low, 1.0)
 
 
-def _result(task: _Task, numbers: Vector) -> EventSearchResult:
-    """Return the result of a search from free values at which there is an orbit.
+def _result(task: _Task, place: ParameterValues) -> BestOrbit:
+    """Return the best orbit from free values at which there is an orbit.
 
     Raises:
         InputError: If the objective has no event there.
         SimulationError: If a corner has no orbit there.
     """
-    low, high = task.ranges.T
-    u = (numbers - low) / np.where(high > low, high - low, 1.0)
     try:
-        task = task.sized(numbers)
-        first = task.trial(u)
+        task = task.sized(np.array([place.number(name) for name in task.free]))
+        first = task.trial(task.in_box(place))
     except NoEventError as error:
         wanted = "must be about events of the orbit"
         raise InputError(f"Argument `{error.argument}` {wanted}, but {error}.") from error
     if isinstance(task.objective, MaxPush):
-        return _strongest(task, first)
+        return _strongest(task, task.objective, first)
     if isinstance(task.objective, MaxMargin):
         return _widest(task, first)
     is_best = isinstance(task.objective, NearestGains) and first.rank == (0.0, 0.0)
@@ -547,13 +496,17 @@ def _by_shooting(task: _Task, first: Sample) -> Optimum:
     found = [task.near(first)]
     if len(task.corners) > 1:
         found += _by_nominal(task, first)
-    if min(one.trial.violation for one in found):
-        found += _by_feasible(task, first)
+    if min(one.trial.violation for one in found) and task.bounds:
+        kept = _least_violation(task, first)
+        if kept is not None and task.excess(kept):
+            return Optimum(trial=kept, converged=True)
+        if kept is not None:
+            found.append(task.near(kept))
     best = min(found, key=lambda one: one.trial.rank)
     return task.finished(best, first)
 
 
-def _by_program(task: _Task, first: Sample) -> EventSearchResult:
+def _by_program(task: _Task, first: Sample) -> BestOrbit:
     """Return the optimum of the program, which shooting checks, or replaces where it fails."""
     iterations = 0
     try:
@@ -565,16 +518,14 @@ def _by_program(task: _Task, first: Sample) -> EventSearchResult:
         if solved is None or reason:
             told = _told(task, first, solved or Optimum(trial=first, converged=False))
             detail = f"The program found no optimum: {reason.rstrip('.')}."
-            told = replace(told, orbit=None, detail=detail)
+            told = told.told(orbit=None, detail=detail)
         else:
             told = _told(task, first, solved)
-        return replace(told, method=SearchMethod.PROGRAM, iterations=iterations)
+        return told.told(method=SearchMethod.PROGRAM, iterations=iterations)
     if solved is not None and not reason and solved.trial.violation <= _NEARLY:
         checked = task.finished(task.near(solved.trial), first)
         if not checked.trial.violation:
-            told = _told(task, first, checked)
-            return replace(
-                told,
+            return _told(task, first, checked).told(
                 method=SearchMethod.PROGRAM,
                 iterations=iterations,
                 remarks=_difference(solved.trial, checked.trial, first),
@@ -584,7 +535,7 @@ def _by_program(task: _Task, first: Sample) -> EventSearchResult:
     told = _told(task, first, _by_shooting(task, first))
     said = reason.rstrip(".") or "its orbit does not keep the bounds"
     remark = f"The program found no optimum ({said})."
-    return replace(told, iterations=iterations, remarks=(remark,))
+    return told.told(iterations=iterations, remarks=(remark,))
 
 
 def _difference(solved: Sample, checked: Sample, first: Sample) -> tuple[str, ...]:
@@ -598,91 +549,43 @@ def _difference(solved: Sample, checked: Sample, first: Sample) -> tuple[str, ..
     )
 
 
-def _strongest(task: _Task, first: Sample) -> EventSearchResult:
-    """Return the orbit with the largest least push, by a search without derivatives."""
-    start = first
-    if first.violation:
-        start = task.near(first).trial
-    pushed = task.pushes(start)
-    best, best_pushes = start, pushed
-    known = {start.u.tobytes(): (_least_impulse(pushed), start)}
-    size = _least_impulse(pushed) or 1.0
-
-    def evaluated(u: Vector) -> tuple[float, Sample | None]:
-        nonlocal best, best_pushes
-        u = np.clip(np.array(u), 0.0, 1.0)
-        key = u.tobytes()
-        if key in known:
-            return known[key]
-        try:
-            there = task.trial(u)
-        except (SimulationError, StepError):
-            # Without an orbit there is no push.
-            return 0.0, None
-        found = task.pushes(there)
-        impulse = _least_impulse(found)
-        if there.violation <= best.violation and impulse > _least_impulse(best_pushes):
-            best, best_pushes = there, found
-        if math.isinf(impulse):
-            raise EnoughError
-        known[key] = impulse, there
-        return known[key]
-
-    def inside(u: Vector) -> Vector:
-        there = evaluated(u)[1]
-        if there is None:
-            return np.full(n_rows, -1.0)
-        equal = [sign * row.value for row in there.equal for sign in (1.0, -1.0)]
-        return np.array([*(row.value for row in there.rows), *equal])
-
-    n_rows = len(first.rows) + 2 * len(first.equal)
-    if task.free and math.isfinite(_least_impulse(pushed)):
-        with suppress(EnoughError):
-            highest(lambda u: evaluated(u)[0] / size, start.u, inside if n_rows else None)
-    impulses = [impulse for impulse, _ in best_pushes]
-    place = int(np.argmin(impulses))
-    told = _told(task, first, Optimum(trial=best, converged=True))
-    return replace(
-        told,
-        value=impulses[0],
-        worst=impulses[place],
-        worst_at=task.corners[place],
-        mean=float(np.mean(impulses[1:])) if len(impulses) > 1 else None,
-        push=best_pushes[place][1],
-    )
-
-
-def _widest(task: _Task, first: Sample) -> EventSearchResult:
-    """Return the orbit with the widest margin, within the bounds."""
-    start = first
-    if first.violation:
-        start = task.near(first).trial
+def _strongest(task: _Task, objective: MaxPush, first: Sample) -> BestOrbit:
+    """Return the orbit with the largest least push, within the bounds."""
+    start = task.near(first).trial if first.violation else first
     if start.violation:
         return _told(task, first, Optimum(trial=start, converged=True))
-    point, orbits = start.points[0], task.orbits
-    section = orbit_event_name(point.found.events[-1])
-    ways = EventWays(
-        orbits=orbits, free=task.free, bounds=task.bounds, on_progress=task.on_progress
+    point, section = start.points[0], _section(start)
+    best = strongest(task.paths(), objective, point.values, point.found)
+    trial = task.from_path(best.values, best.found, section)
+    told = _told(task, first, Optimum(trial=trial, converged=True))
+    if not best.is_kept:
+        return told.told(orbit=None, detail=best.text)
+    impulses = [one.impulse for one in best.pushes]
+    return told.told(
+        value=impulses[0],
+        worst=best.impulse,
+        worst_at=dict(best.least.corner),
+        mean=float(np.mean(impulses[1:])) if len(impulses) > 1 else None,
+        push=best.least.push,
     )
-    best = widest(ways, point.values, point.found)
-    numbers = np.array([best.values.number(name) for name in task.free])
-    low, high = task.ranges.T
-    graph = orbits.problem.graph_dynamics(best.values)
-    orbits.begin(at_section(graph, best.orbit, section, orbits.simulation))
-    trial = task.trial((numbers - low) / (high - low))
+
+
+def _widest(task: _Task, first: Sample) -> BestOrbit:
+    """Return the orbit with the widest margin, within the bounds."""
+    start = task.near(first).trial if first.violation else first
+    if start.violation:
+        return _told(task, first, Optimum(trial=start, converged=True))
+    point, section = start.points[0], _section(start)
+    best = widest(task.paths(), point.values, point.found)
+    trial = task.from_path(best.values, best.orbit, section)
     told = _told(task, first, Optimum(trial=trial, converged=True))
     margin = best.nearest.distance
-    return replace(
-        told,
-        value=margin,
-        worst=margin,
-        detail=told.detail or best.text,
-    )
+    return told.told(value=margin, worst=margin, detail=told.result.detail or best.text)
 
 
-def _least_impulse(pushes: Sequence[tuple[float, Push | None]]) -> float:
-    """Return the least impulse of all corners."""
-    return min(impulse for impulse, _ in pushes)
+def _section(trial: Sample) -> str:
+    """Return the name of the event at which the orbit of a trial starts."""
+    return orbit_event_name(trial.points[0].found.events[-1])
 
 
 def _by_nominal(task: _Task, first: Sample) -> list[Optimum]:
@@ -705,41 +608,42 @@ def _by_nominal(task: _Task, first: Sample) -> list[Optimum]:
     return [task.near(begin)]
 
 
-def _by_feasible(task: _Task, first: Sample) -> list[Optimum]:
-    """Return the optimum near the values that keep the bounds and are nearest to the start."""
-    if isinstance(task.objective, NearestGains | Target):
-        return []
+def _least_violation(task: _Task, first: Sample) -> Sample | None:
+    """Return the trial whose largest violation of a bound is least, ``None`` without an orbit."""
+
+    def violations(u: Vector) -> Sample:
+        trial = task.trial(u)
+        broken = [row.scaled(-1.0) for row in trial.rows]
+        broken += [row.scaled(sign) for row in task.bound_equations(trial) for sign in (1.0, -1.0)]
+        return replace(trial, costs=(tuple(broken),), rows=(), equal=())
+
     try:
-        nearest = replace(task, objective=NearestGains(target={}))
-        kept = nearest.near(nearest.trial(first.u))
-        return [] if kept.trial.violation else [task.near(task.trial(kept.trial.u))]
+        least = least_worst(violations, violations(first.u), precision=_ROUGH)
+        return task.trial(least.trial.u)
     except (SimulationError, StepError):
-        return []
+        return None
 
 
-def _told(task: _Task, first: Sample, best: Optimum) -> EventSearchResult:
-    """Return the result of an optimum."""
+def _told(task: _Task, first: Sample, best: Optimum) -> BestOrbit:
+    """Return the end of a search at an optimum, or at the end of its family."""
+    ending = ""
+    if task.free and not best.trial.violation and _nears_an_end(first, best):
+        best, ending = _at_the_end(task, first, best)
     trial, objective = best.trial, task.objective
     point = trial.points[0]
     corner_costs = [max(one.value for one in costs) for costs in trial.costs]
     place = int(np.argmax(corner_costs))
     extents = {bound.name: _extent(trial.points, bound.name) for bound in task.bounds}
     vanishing = _vanishing(task, first, trial)
-    detail = objection_to(task.bounds, extents)
-    orbit = None
-    if detail:
-        detail = f"No orbit that keeps the bounds was found: {detail}"
-    elif trial.violation:
-        detail = f"No orbit with {objective.wish} was found in the ranges."
-        if isinstance(objective, Target):
-            detail += f" The nearest has {task.prescribed(point).value:.8g}."
-    elif vanishing:
+    orbit, detail = None, _lacking(task, trial, extents)
+    if not detail and vanishing:
         detail = _end_of_family(task, trial, vanishing)
-    else:
+    elif not detail:
         orbit = event_orbit_of(task.orbits.problem, point.values, point.found)
-        if not best.converged:
-            detail = f"The search ended before it converged: {best.reason}."
-    return EventSearchResult(
+        detail = ending
+        if not best.converged and not ending:
+            detail = f"The search ended before it converged: {best.reason.rstrip('.')}."
+    result = EventSearchResult(
         orbit=orbit,
         free=dict(zip(task.free, map(float, task.numbers(trial.u)), strict=True)),
         objective=objective,
@@ -753,6 +657,103 @@ def _told(task: _Task, first: Sample, best: Optimum) -> EventSearchResult:
         n_orbits=task.orbits.n_orbits,
         detail=detail,
     )
+    return BestOrbit(
+        result=result,
+        values=point.values,
+        found=point.found,
+        violation=trial.violation,
+        is_last=bool(ending),
+    )
+
+
+def _nears_an_end(first: Sample, best: Optimum) -> bool:
+    """Return True if a search is lost on its way, or ends where a margin of the orbit vanishes."""
+    if not best.converged:
+        return True
+    before, after = first.points[0], best.trial.points[0]
+    margins = margins_of_return(before.graph, before.found)
+    last = margins_of_return(after.graph, after.found)
+    return any(value < _GONE * margins[name] for name, value in last.items() if name in margins)
+
+
+def _at_the_end(task: _Task, first: Sample, best: Optimum) -> tuple[Optimum, str]:
+    """Return the last orbit of a family whose objective improves up to its end, and the end.
+
+    The orbits are followed along the line from the first trial through the best one, or against the
+    slope of the objective, to the side of the ranges.
+    """
+    trial, section = best.trial, _section(best.trial)
+    step = trial.u - first.u
+    if not np.any(step):
+        step = -trial.heights[0].by
+    step = np.where(np.abs(step) > _SMALL_STEP * np.max(np.abs(step)), step, 0.0)
+    moved = step != 0.0
+    if len(task.corners) > 1 or not np.any(moved):
+        return best, ""
+    reach = np.where(step > 0.0, 1.0 - trial.u, trial.u)[moved] / np.abs(step[moved])
+    if not float(np.min(reach)) > 0.0:
+        return best, ""
+    wanted = task.numbers(np.clip(trial.u + float(np.min(reach)) * step, 0.0, 1.0))
+    begin = first.points[0]
+    values = begin.values.replaced(dict(zip(task.free, map(float, wanted), strict=True)))
+    path = task.paths().follow(begin.found, begin.values, values, steps=TO_VALUES, is_stable=False)
+    if path.orbit is None or path.arrived:
+        return best, ""
+    lost = f"The way to {task.objective.wish} ends: this is the last orbit before. {path.ending}"
+    try:
+        last = task.from_path(path.values, path.orbit, section)
+    except (SimulationError, StepError):
+        last = trial
+        task.orbits.begin(trial.points[0].found)
+    gained = trial.value - last.value
+    if last.violation or gained < 0.0:
+        return best, ""
+    is_better = gained > _SAME_VALUE * max(abs(trial.value), abs(first.value))
+    return (replace(best, trial=last) if is_better else best), lost
+
+
+def _lacking(task: _Task, trial: Sample, extents: Mapping[str, Extent]) -> str:
+    """Return why the orbit of a trial is no answer, as sentences. Empty if it is one."""
+    broken = objection_to(task.bounds, extents)
+    if not broken and not trial.violation:
+        return ""
+    where = listed(dict(zip(task.free, map(float, task.numbers(trial.u)), strict=True)))
+    held = [
+        f"{name} at its bound {end:g}"
+        for name, u, ends in zip(task.free, trial.u, task.free.values(), strict=True)
+        for side, end in zip((u, 1.0 - u), ends, strict=True)
+        if side <= _AT_BOUND
+    ]
+    at = f"at {where} ({', '.join(held)})" if held else f"at {where}"
+    wish = task.objective.wish
+    if broken:
+        reached = f"No orbit was found that keeps all bounds. The nearest one, {at}: {broken}"
+        if isinstance(task.objective, Target):
+            reached += f" There the orbit has {_reached(trial, task.objective)}."
+        return reached
+    if not isinstance(task.objective, Target):
+        return f"No orbit with {wish} was found in the ranges."
+    miss = abs(trial.points[0].prescribed(task.objective).value - task.objective.target)
+    kept = ", ".join(
+        f"`{bound.name}` is within {bound.text} by {-excess(bound, extents[bound.name]):.3g}"
+        for bound in task.bounds
+    )
+    return (
+        f"No orbit with {wish} was found in the ranges. The nearest that was reached has "
+        f"{_reached(trial, task.objective)}, {at}; missed: `{wish}` by {miss:.3g}"
+        f"{f'; {kept}' if kept else ''}."
+    )
+
+
+def _reached(trial: Sample, target: Target) -> str:
+    """Return the prescribed quantity of a trial, in words."""
+    return replace(target, target=trial.points[0].prescribed(target).value).wish
+
+
+def _size_of(bound: Bound, extent: Extent) -> float:
+    """Return the unit in which a bounded quantity is scaled."""
+    ends = [abs(end) for end in (bound.lower, bound.upper) if math.isfinite(end)]
+    return max(*ends, extent.largest) or 1.0
 
 
 def _extent(points: Sequence[OrbitAtValues], name: str) -> Extent:
@@ -800,96 +801,3 @@ def _end_of_family(task: _Task, last: Sample, vanishing: Mapping[str, float]) ->
         for stop, speed in vanishing.items()
     ]
     return " ".join([*said, "This is the end of a family and not an orbit."])
-
-
-def _places(
-    values: ParameterValues, free: Mapping[str, tuple[float, float]], n_starts: int, seed: int
-) -> list[ParameterValues]:
-    """Return the values at which a search may start: its own, then a Halton sequence."""
-    if not free or n_starts < 1:
-        return [values]
-    # SciPy's statistics take half a second to import.
-    from scipy.stats import qmc
-
-    low, high = np.array(list(free.values())).T
-    places = low + qmc.Halton(len(free), seed=seed).random(n_starts) * (high - low)
-    chosen = [dict(zip(free, map(float, place), strict=True)) for place in places]
-    return [values, *(values.replaced(one) for one in chosen)]
-
-
-def _require_valid(
-    problem: Problem,
-    values: ParameterValues,
-    free: Mapping[str, tuple[float, float]],
-    objective: Objective,
-    bounds: Sequence[Bound],
-) -> None:
-    """Reject a search with unknown names, or one that needs a machine with one stop.
-
-    Raises:
-        InputError: If the search is not valid. The message names the invalid part.
-    """
-    # A push needs the graph of a machine with several stops or switches.
-    if not isinstance(objective, _POSSIBLE) and not (
-        isinstance(objective, MaxPush) and problem.has_graph
-    ):
-        words = (
-            "nearest, period, amplitude, energy, peak, contraction, margin, push, impacts or bounce"
-        )
-        wanted = f"must be one of {words}"
-        raise InputError(
-            f"Argument `objective` {wanted} in a search by events, but it "
-            f"asks for {objective.wish}."
-        )
-    for name, box in free.items():
-        problem.require_range(name, box, argument="vary")
-    if isinstance(objective, MaxMargin) and not free:
-        raise InputError(
-            "Argument `objective` asks for the widest margin, which needs a free value: name its "
-            "range in `vary`."
-        )
-    objective.check(problem, free)
-    graph = problem.graph_dynamics(values)
-    if isinstance(objective, MinEnergy):
-        _require_electrical(graph, "objective", objective.wish)
-    for bound in bounds:
-        _require_quantity(bound.name, graph)
-    require_possible_bounds(bounds)
-
-
-_POSSIBLE = (
-    NearestGains,
-    TargetPeriod,
-    TargetAmplitude,
-    MinEnergy,
-    MinPeak,
-    MinSpectralRadius,
-    MaxMargin,
-    OfImpacts,
-)
-"""Objectives of a search by events."""
-
-
-def _require_quantity(name: str, graph: GraphDynamics) -> None:
-    """Refuse a bound on a quantity that an orbit of events does not have, or on a number."""
-    signals = course_signal_names(graph.compiled)
-    numbers = (PERIOD, ENERGY, *DIFFERENCED)
-    if "." not in name and name not in (*signals, *numbers):
-        known = (*signals, *numbers, *event_quantity_names(graph))
-        raise InputError(unknown("bounds", name, known))
-    if name == ENERGY and name not in signals:
-        _require_electrical(graph, "bounds", "the energy")
-    if "." in name:
-        require_event_quantity(name, graph, "bounds")
-    if ".impacts" in name:
-        raise InputError(
-            f"Argument `bounds` must not bound the number `{name}`: bound a speed or a time."
-        )
-
-
-def _require_electrical(graph: GraphDynamics, argument: str, what: str) -> None:
-    if not is_electrical(graph.compiled):
-        raise InputError(
-            f"Argument `{argument}` asks for {what}, but the machine has no source of electrical "
-            "energy: give its drive an `input_power`, or ask for another quantity."
-        )

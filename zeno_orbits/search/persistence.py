@@ -13,25 +13,19 @@ values are difference quotients, updated after each step [Broyden1965]_. See the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import StepControl
-from zeno_orbits.search.homotopy.line import Followed
+from zeno_orbits.model import ParameterValues
+from zeno_orbits.orbits import EventReturn
+from zeno_orbits.search.paths import TO_LOSS, OrbitPaths
 from zeno_orbits.simulation import Extent
 
-T = TypeVar("T")
-T_co = TypeVar("T_co", covariant=True)
-
-WAY = StepControl(first=0.05, longest=0.05, shortest=1e-5)
-"""Steps to a loss, in units of ranges. They may skip a narrower window without an orbit."""
 _DIFFERENCE = 0.02
 """Step of a difference quotient, in units of ranges."""
 _REGION, _SMALLEST_REGION = 0.25, 1e-3
@@ -65,39 +59,8 @@ class Reach:
     reason: str
 
 
-class Ways(Protocol[T]):
-    """The orbits of a search over its free values. `T` is the kind of orbits."""
-
-    @property
-    def problem(self) -> Problem:
-        """The problem."""
-        ...
-
-    @property
-    def free(self) -> Mapping[str, tuple[float, float]]:
-        """Name to range of the free values."""
-        ...
-
-    @property
-    def is_bounded(self) -> bool:
-        """True if the orbits must keep bounds."""
-        ...
-
-    def follow(self, near: T, here: ParameterValues, wanted: ParameterValues) -> Followed[T]:
-        """Follow a stable orbit along a line of values, in steps of `WAY`, until it is lost."""
-        ...
-
-    def slack(self, values: ParameterValues, near: T) -> Vector:
-        """Return the distance of each bounded quantity from its bounds, positive inside."""
-        ...
-
-    def tell(self, stage: str) -> None:
-        """Report progress."""
-        ...
-
-
 @dataclass(frozen=True, kw_only=True)
-class Persistence(Generic[T_co]):
+class Persistence:
     """Distances from an orbit to its loss.
 
     Attributes:
@@ -107,7 +70,7 @@ class Persistence(Generic[T_co]):
     """
 
     values: ParameterValues
-    orbit: T_co
+    orbit: EventReturn
     reaches: tuple[Reach, ...]
 
     @property
@@ -138,30 +101,32 @@ class Persistence(Generic[T_co]):
         return f"It persists for {ranges}, each alone.{lost if least.reason else ''}"
 
 
-def persistence(search: Ways[T], values: ParameterValues, near: T) -> Persistence[T]:
+def persistence(paths: OrbitPaths, values: ParameterValues, near: EventReturn) -> Persistence:
     """Compute the distances from an orbit to its loss of existence or stability.
 
     Args:
-        search: The orbits over the free values.
+        paths: The orbits over the free values.
         values: Values of the orbit.
         near: The orbit.
     """
     reaches = tuple(
-        _reach(search, values, near, name, sign) for name in search.free for sign in (1, -1)
+        _reach(paths, values, near, name, sign) for name in paths.free for sign in (1, -1)
     )
     return Persistence(values=values, orbit=near, reaches=reaches)
 
 
-def _reach(search: Ways[T], values: ParameterValues, near: T, name: str, sign: int) -> Reach:
-    low, high = search.free[name]
+def _reach(
+    paths: OrbitPaths, values: ParameterValues, near: EventReturn, name: str, sign: int
+) -> Reach:
+    low, high = paths.free[name]
     here, whole = values.number(name), sign * (high - low)
-    wanted = _admissible(search, name, here + whole)
+    wanted = _admissible(paths, name, here + whole)
     part = (wanted - here) / whole
-    if part <= WAY.shortest:
+    if part <= TO_LOSS.shortest:
         return Reach(name=name, sign=sign, distance=1.0, error=0.0, value=wanted, reason="")
-    path = search.follow(near, values, values.replaced({name: wanted}))
+    path = paths.follow(near, values, values.replaced({name: wanted}))
     # Without a loss before its last admissible value, a parameter counts as persistent.
-    lost = part == 1.0 or (1.0 - path.end) * part > _AT_LAST * WAY.shortest
+    lost = part == 1.0 or (1.0 - path.end) * part > _AT_LAST * TO_LOSS.shortest
     if path.arrived or not lost:
         return Reach(name=name, sign=sign, distance=1.0, error=0.0, value=wanted, reason="")
     return Reach(
@@ -178,16 +143,16 @@ _AT_LAST = 2.0
 """Distance from the last admissible value that counts as zero, in units of the shortest step."""
 
 
-def _admissible(search: Ways[Any], name: str, value: float) -> float:
+def _admissible(paths: OrbitPaths, name: str, value: float) -> float:
     """Return a parameter's value clipped to its admissible range. A gain may have any value."""
-    quantity = search.problem.quantity(name)
-    if quantity not in search.problem.parameters:
+    quantity = paths.problem.quantity(name)
+    if quantity not in paths.problem.parameters:
         return value
     return min(max(value, quantity.lower), quantity.upper)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Place(Generic[T_co]):
+class _Place:
     """A point of the optimization.
 
     Attributes:
@@ -195,7 +160,7 @@ class _Place(Generic[T_co]):
         slack: Distance of each bounded quantity from its bounds, positive inside.
     """
 
-    held: Persistence[T_co]
+    held: Persistence
     slack: Vector
 
     @property
@@ -204,24 +169,24 @@ class _Place(Generic[T_co]):
         return np.append([one.distance for one in self.held.reaches], self.slack)
 
 
-def widest(search: Ways[T], values: ParameterValues, near: T) -> Persistence[T]:
+def widest(paths: OrbitPaths, values: ParameterValues, near: EventReturn) -> Persistence:
     """Return the orbit with the largest smallest distance to a loss, within the bounds.
 
     The optimum is local.
 
     Args:
-        search: The orbits over the free values.
+        paths: The orbits over the free values.
         values: Values of an orbit that satisfies the bounds.
         near: The orbit.
     """
-    here = _place(search, values, near)
-    slopes, region = _slopes(search, here), _REGION
+    here = _place(paths, values, near)
+    slopes, region = _slopes(paths, here), _REGION
     for _ in range(_MOST_STEPS):
-        step, gain = _best_step(search, here, slopes, region)
+        step, gain = _best_step(paths, here, slopes, region)
         if gain <= _GAIN or region < _SMALLEST_REGION:
             break
-        search.tell(f"widening the margin: {here.held.nearest.distance:.4f} of the ranges")
-        there = _moved(search, here, step)
+        paths.tell(f"widening the margin: {here.held.nearest.distance:.4f} of the ranges")
+        there = _moved(paths, here, step)
         reached = -np.inf if there is None else there.held.merit - here.held.merit
         if there is not None:
             slopes = _corrected(slopes, here, there, step)
@@ -231,33 +196,33 @@ def widest(search: Ways[T], values: ParameterValues, near: T) -> Persistence[T]:
     return here.held
 
 
-def _place(search: Ways[T], values: ParameterValues, near: T) -> _Place[T]:
-    slack = search.slack(values, near)
-    return _Place(held=persistence(search, values, near), slack=slack)
+def _place(paths: OrbitPaths, values: ParameterValues, near: EventReturn) -> _Place:
+    slack = paths.slack(values, near)
+    return _Place(held=persistence(paths, values, near), slack=slack)
 
 
-def _moved(search: Ways[T], here: _Place[T], step: Vector) -> _Place[T] | None:
+def _moved(paths: OrbitPaths, here: _Place, step: Vector) -> _Place | None:
     """Return the point after a step in units of ranges, or ``None`` if the orbit is lost before."""
     moved = {
         name: min(max(here.held.values.number(name) + float(by) * (high - low), low), high)
-        for (name, (low, high)), by in zip(search.free.items(), step, strict=True)
+        for (name, (low, high)), by in zip(paths.free.items(), step, strict=True)
     }
     wanted = here.held.values.replaced(moved)
-    path = search.follow(here.held.orbit, here.held.values, wanted)
+    path = paths.follow(here.held.orbit, here.held.values, wanted)
     if path.orbit is None or not path.arrived:
         return None
     try:
-        return _place(search, wanted, path.orbit)
+        return _place(paths, wanted, path.orbit)
     except ZenoOrbitsError:
         return None
 
 
-def _slopes(search: Ways[T], here: _Place[T]) -> Vector:
+def _slopes(paths: OrbitPaths, here: _Place) -> Vector:
     """Return the derivative of each row with respect to each free value, in units of ranges."""
-    n = len(search.free)
+    n = len(paths.free)
     slopes = np.zeros((here.rows.size, n))
-    for k, (name, (low, high)) in enumerate(search.free.items()):
-        if n > 1 or search.is_bounded:
+    for k, (name, (low, high)) in enumerate(paths.free.items()):
+        if n > 1 or paths.is_bounded:
             up, down = here.held.reaches[2 * k : 2 * k + 2]
             sign = 1.0 if up.distance > down.distance else -1.0
             inside = (
@@ -269,7 +234,7 @@ def _slopes(search: Ways[T], here: _Place[T]) -> Vector:
                 sign = -sign
             step = np.zeros(n)
             step[k] = sign * _DIFFERENCE
-            there = _moved(search, here, step)
+            there = _moved(paths, here, step)
             if there is not None:
                 slopes[:, k] = (there.rows - here.rows) / step[k]
         for row, one in enumerate(here.held.reaches[2 * k : 2 * k + 2]):
@@ -277,7 +242,7 @@ def _slopes(search: Ways[T], here: _Place[T]) -> Vector:
     return slopes
 
 
-def _corrected(slopes: Vector, here: _Place[T], there: _Place[T], step: Vector) -> Vector:
+def _corrected(slopes: Vector, here: _Place, there: _Place, step: Vector) -> Vector:
     """Return the derivatives after a step, each row corrected along the step."""
     missed = there.rows - here.rows - slopes @ step
     ends = [one.distance >= 1.0 for place in (here, there) for one in place.held.reaches]
@@ -287,13 +252,13 @@ def _corrected(slopes: Vector, here: _Place[T], there: _Place[T], step: Vector) 
 
 
 def _best_step(
-    search: Ways[T], here: _Place[T], slopes: Vector, region: float
+    paths: OrbitPaths, here: _Place, slopes: Vector, region: float
 ) -> tuple[Vector, float]:
     """Return the optimal step of the linear model in units of ranges, and its predicted gain.
 
     Unknowns are the step, the smallest distance of each value, and the smallest of all distances.
     """
-    n, rows = len(search.free), here.rows
+    n, rows = len(paths.free), here.rows
     n_reaches = len(here.held.reaches)
     a = np.zeros((rows.size + n, 2 * n + 1))
     a[: rows.size, :n] = -slopes
@@ -306,7 +271,7 @@ def _best_step(
     b = np.append(rows, np.zeros(n))
     b[:n_reaches][free] = np.inf
     bounds: list[tuple[float, float]] = []
-    for name, (low, high) in search.free.items():
+    for name, (low, high) in paths.free.items():
         at, width = here.held.values.number(name), high - low
         bounds.append((max(-region, (low - at) / width), min(region, (high - at) / width)))
     bounds += (n + 1) * [(-1.0, 1.0)]

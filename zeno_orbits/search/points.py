@@ -1,4 +1,4 @@
-r"""Orbits of events at changing values, with exact derivatives of quantities along the orbits.
+r"""Orbits at changing values, with exact derivatives of quantities along the orbits.
 
 At values `p` the start of the orbit solves :math:`x = P(x, p)`. So it moves by
 
@@ -27,16 +27,19 @@ from zeno_orbits.orbits import (
     EventCourse,
     EventQuantities,
     EventReturn,
+    EventSequence,
     Reading,
     StepError,
     closed_return,
     course_signal_names,
     multipliers_of_return,
+    objection_to,
     orbit_event_name,
+    sequence_of,
     start_by_parameters,
 )
 from zeno_orbits.search.closing import indices_of, settled_return
-from zeno_orbits.search.objectives import LEAST_RADIUS, OfImpacts
+from zeno_orbits.search.objectives import LEAST_RADIUS, OfImpacts, Target, TargetAmplitude
 from zeno_orbits.simulation import Extent, SimulationSettings
 from zeno_orbits.verification import EVENT_MARGINS, SHARE, measured_margin
 
@@ -150,7 +153,7 @@ class OrbitAtValues:
             return [self.slope(self.course.work)]
         slopes = [self.slope(one) for one in self.quantities.readings(name)]
         if not slopes:
-            raise NoEventError("bounds", f"`{name}` does not occur in the orbit")
+            raise NoEventError("bounds", self._lacks(name))
         return slopes
 
     def extent(self, name: str) -> Extent:
@@ -184,8 +187,12 @@ class OrbitAtValues:
             return self.radius
         margin = measured_margin(name, self.graph, self.found)
         if margin is None:
-            raise NoEventError("bounds", f"`{name}` does not occur in the orbit")
+            raise NoEventError("bounds", self._lacks(name))
         return margin
+
+    def _lacks(self, name: str) -> str:
+        events = sequence_of([orbit_event_name(event) for event in self.found.events])
+        return f"`{name}` does not occur in the orbit with the events `{', '.join(events)}`"
 
     def peaks(self, signal: str, sign: float, most: int = MOST_PEAKS) -> list[Slope]:
         """Return the largest local extremes of a signal times a sign, in order of time.
@@ -202,6 +209,27 @@ class OrbitAtValues:
         """Return half the range of a state over the period."""
         (most,), (least,) = self.peaks(state, 1.0, 1), self.peaks(state, -1.0, 1)
         return (most + least).scaled(0.5)
+
+    def prescribed(self, target: Target) -> Slope:
+        """Return the quantity whose value an objective prescribes.
+
+        Args:
+            target: The objective.
+        """
+        if isinstance(target, TargetAmplitude):
+            return self.amplitude(target.state)
+        return self.slopes(PERIOD)[0]
+
+    def objection(self, bounds: Sequence[Bound]) -> str:
+        """Return a clause with the violated bounds, empty without any.
+
+        Args:
+            bounds: The bounds.
+
+        Raises:
+            NoEventError: If the event of a bound does not occur.
+        """
+        return objection_to(bounds, {bound.name: self.extent(bound.name) for bound in bounds})
 
     def peak_costs(self, signal: str) -> tuple[Slope, ...]:
         """Return the largest absolute extremes of a signal, `MOST_PEAKS` of them.
@@ -298,6 +326,9 @@ class OrbitsOverValues:
         values: Values of everything that is neither free nor at a corner.
         names: Names of the free values.
         simulation: Accuracy.
+        starts: Initial states of motions that settle, name to value, where an orbit is lost. By
+            default they are those of the problem.
+        shape: Phases of the orbits of a machine with the stop `stop`, or ``None`` for any.
         n_orbits: Number of orbits so far.
     """
 
@@ -305,6 +336,8 @@ class OrbitsOverValues:
     values: ParameterValues
     names: tuple[str, ...]
     simulation: SimulationSettings
+    starts: tuple[Mapping[str, float], ...] = ()
+    shape: EventSequence | None = None
     n_orbits: int = 0
     _last: dict[tuple[tuple[str, float], ...], EventReturn] = field(
         default_factory=dict["tuple[tuple[str, float], ...]", EventReturn]
@@ -340,7 +373,12 @@ class OrbitsOverValues:
         except SimulationError:
             try:
                 settled = settled_return(
-                    self.problem, values, section=section, simulation=self.simulation
+                    self.problem,
+                    values,
+                    starts=self.starts,
+                    section=section,
+                    shape=self.shape,
+                    simulation=self.simulation,
                 )
             except InputError as error:
                 raise StepError(str(error)) from error
