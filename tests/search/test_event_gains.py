@@ -24,6 +24,10 @@ def _search(free: dict[str, tuple[float, float]], **options: Any) -> zo.EventSea
     )
 
 
+def slow(*names: str) -> list[Any]:
+    return [pytest.param(name, marks=pytest.mark.slow) for name in names]
+
+
 def test_the_least_loss_that_keeps_an_impact_speed_has_its_closed_form() -> None:
     bound = zo.Bound(name="stop.impact_speed", lower=2.0)
     found = _search({"a": (5.0, 40.0)}, objective=zo.MinImpactLoss(), bounds=[bound])
@@ -104,9 +108,51 @@ def test_invalid_searches_are_refused(options: dict[str, Any], words: str) -> No
         _search(**{"free": {"a": (5.0, 40.0)}, **options})
 
 
-def test_a_search_by_phases_refuses_objectives_about_impacts_and_names_the_other_search() -> None:
-    with pytest.raises(zo.InputError, match="call `search_event_gains`"):
-        zo.search_gains("vibrating_table", vary={"A": (0.01, 0.02)}, objective=zo.MinImpactLoss())
+def test_a_search_from_several_starts_has_the_same_closed_forms() -> None:
+    bound = zo.Bound(name="stop.impact_speed", lower=2.0)
+    fixed = {"a": A, "s": S, "restitution": E}
+    found = zo.search_gains(
+        "hopper",
+        vary={"a": (5.0, 40.0)},
+        parameters=fixed,
+        objective=zo.MinImpactLoss(),
+        bounds=[bound],
+    )
+    best = found.candidates[0]
+    assert found.unwrap().parameters["a"] == pytest.approx(4.0 * (1 - E**2) / (2 * S), rel=1e-6)
+    assert best.score == pytest.approx(4.0 * (1 - E**2) / 2, rel=1e-6)
+    assert best.starts == 2
+    assert best.extents["stop.impact_speed"].lowest == pytest.approx(2.0, rel=1e-6)
+    assert best.certificate is not None
+    assert best.certificate.asked[0]["kept"]
+    # The flights of a program share no step with the simulation.
+    assert found.agreement < 1e-10
+    assert found.n_unknowns > 50
+
+
+def test_the_worst_corner_is_the_score_of_a_search_from_several_starts() -> None:
+    found = zo.search_gains(
+        "hopper",
+        vary={"s": (0.05, 0.3)},
+        parameters={"a": A, "s": S, "restitution": E},
+        objective=zo.MinImpactLoss(stop="stop", uncertain={"a": (15.0, 25.0)}),
+        bounds=[zo.Bound(name="stop.impact_speed", lower=2.0)],
+        settings=zo.SearchSettings(n_starts=0),
+    )
+    s = 4.0 * (1 - E**2) / (2 * 15.0)
+    assert found.unwrap().parameters["s"] == pytest.approx(s, rel=1e-6)
+    assert found.candidates[0].score == pytest.approx(25.0 * s, rel=1e-6)
+    assert found.candidates[0].extents["stop.impact_speed"].lowest == pytest.approx(2.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["hopper", "clapper", *slow("relay", "kneed_walker")])
+def test_the_orbit_of_any_machine_agrees_with_a_program(name: str) -> None:
+    found = zo.find_orbit(name)
+    settled = zo.find_event_orbit(name)
+    assert found.agreement <= zo.SearchSettings().agreement
+    assert found.unwrap().certificate["passed"]
+    assert found.unwrap().sequence == settled.sequence
+    assert found.unwrap().period == pytest.approx(settled.period, rel=1e-10)
 
 
 # A machine with one stop: the ball on a shaking table, whose flights are parabolas less a sine.

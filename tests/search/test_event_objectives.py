@@ -110,7 +110,9 @@ def test_a_prescribed_amplitude_is_reached() -> None:
 def test_an_amplitude_that_no_orbit_has_is_missed_by_a_printed_distance() -> None:
     found = _search(zo.TargetAmplitude(state="height", target=1.0), vary={"U": (8.0, 12.0)})
     assert found.orbit is None
-    assert f"The nearest has {CoilHop(voltage=12.0).highest / 2:.8g}." in found.detail
+    nearest = CoilHop(voltage=12.0).highest / 2
+    assert f"The nearest that was reached has an amplitude of {nearest:.10g}"[:-2] in found.detail
+    assert f"by {1.0 - nearest:.3g}." in found.detail
 
 
 @pytest.mark.slow
@@ -423,10 +425,15 @@ def test_a_known_orbit_of_another_machine_or_format_is_refused() -> None:
         zo.find_event_orbit(COIL_HOPPER, near=orbit)
 
 
-def test_a_search_by_phases_refuses_uncertain_ranges_and_names_the_other_search() -> None:
-    objective = zo.MinEnergy(uncertain={"R": (2.9, 3.1)})
-    with pytest.raises(zo.InputError, match="call `search_event_gains`"):
-        zo.search_gains("motor_pendulum", vary={"Kp": (2.0, 4.0)}, objective=objective)
+def test_worst_energies_of_one_stop_are_those_of_its_list_of_events() -> None:
+    objective = zo.MinEnergy(uncertain={"c": (1.8, 2.0)})
+    options = {"vary": {"A": (0.9, 1.1)}, "objective": objective}
+    once = zo.SearchSettings(n_starts=0)
+    found = zo.search_gains("forced_oscillator", settings=once, **options)
+    other = zo.search_event_gains("forced_oscillator", **options)
+    assert found.candidates[0].score == pytest.approx(other.worst, rel=1e-9)
+    # The stiffest force does the most work.
+    assert other.worst > other.value
 
 
 @pytest.mark.slow

@@ -11,7 +11,6 @@ from zeno_orbits.api.inputs import (
     Named,
     Numbers,
     any_orbit,
-    as_orbit,
     file_of,
     front_door,
     plan_of,
@@ -120,7 +119,8 @@ def search_gains(
             values.
         bounds: Bounds that the orbit must satisfy.
         near: A known orbit to start from, or its file.
-        shape: Mode sequence of the orbit. The default is the sequence that a simulation reaches.
+        shape: Mode sequence of the orbit of a machine with the stop `stop`. The default is the
+            sequence that a simulation reaches.
         settings: Limits and tolerances of the search.
         allow_unstable: Accept unstable orbits.
         accuracy: Largest relative error of the orbit. The settings follow it.
@@ -141,7 +141,7 @@ def search_gains(
     from zeno_orbits.search import SearchSettings as Settings
     from zeno_orbits.search import search
 
-    known = _with_one_stop(repeating_problem(problem))
+    known = repeating_problem(problem)
     orbit = None if near is None else _near(near, known)
     shared = plan_of(workers, plan)
     spread = None
@@ -214,7 +214,7 @@ def find_event_orbit(
     from zeno_orbits.verification import verify, with_certificate
 
     known = repeating_problem(problem)
-    begin = None if near is None else _near_events(near, known)
+    begin = None if near is None else _near(near, known)
     orbit = find(
         known,
         start_values(known, near=begin, gains=gains, parameters=parameters),
@@ -252,9 +252,8 @@ def search_event_gains(
 ) -> EventSearchResult:
     """Find gains of an orbit of events, and verify the orbit.
 
-    It is for machines with several stops or switches, for objectives and bounds about impacts, and
-    for the energy and peaks over uncertain ranges.
-    The stop of a machine with one stop is named `stop`.
+    It searches from one start, unless several orbits are requested, and also chooses the section
+    and the method. The stop of a machine with one stop is named `stop`.
 
     Args:
         problem: The problem, its name or its file.
@@ -268,8 +267,8 @@ def search_event_gains(
         near: A known orbit of events to start from, or its file. Its gains and parameters replace
             the defaults, and no motion has to settle.
         objective: `NearestGains` (the default), `TargetPeriod`, `TargetAmplitude`, `MinEnergy`,
-            `MinPeak`, `MinSpectralRadius`, `MaxMargin`, `MinImpactLoss` or `MinBounceTime`. A
-            machine with several stops or switches also has `MaxPush`.
+            `MinPeak`, `MinSpectralRadius`, `MaxMargin`, `MaxPush`, `MinImpactLoss` or
+            `MinBounceTime`.
         bounds: Bounds on signals, on the period, the energy, the spectral radius and margins, and
             on quantities of events, such as ``closed.impact_speed``. With uncertain parameters they
             hold at every corner.
@@ -302,7 +301,7 @@ def search_event_gains(
     if candidates < 1:
         raise InputError(f"Argument `candidates` must be at least 1, but it is {candidates}.")
     known = repeating_problem(problem)
-    begin = None if near is None else _near_events(near, known)
+    begin = None if near is None else _near(near, known)
     result = search(
         known,
         start_values(known, near=begin, gains=gains, parameters=parameters),
@@ -362,7 +361,7 @@ def find_orbit_by_shooting(
     from zeno_orbits.search import orbit_by_shooting
 
     known = repeating_problem(problem)
-    begin = None if near is None else _near_events(near, known)
+    begin = None if near is None else _near(near, known)
     return orbit_by_shooting(
         known,
         start_values(known, near=begin, gains=gains, parameters=parameters),
@@ -410,16 +409,6 @@ class Verified:
         return Verdict(objection=objection, certificate=certificate)
 
 
-def _with_one_stop(problem: Problem) -> Problem:
-    """Refuse a machine with several stops, switches or kinks, and return the problem."""
-    if problem.has_graph:
-        raise InputError(
-            f"Argument `problem`: `{problem.name}` has {problem.modes_reason}: use "
-            "`find_orbit_by_shooting` or `search_event_gains`."
-        )
-    return problem
-
-
 def start_values(
     problem: Problem,
     *,
@@ -448,15 +437,6 @@ def start_values(
 
 def _near(near: Orbit | str | Path, problem: Problem) -> Orbit:
     """Return the known orbit of a search.
-
-    Raises:
-        InputError: If the orbit belongs to another problem.
-    """
-    return _of_problem(as_orbit(near), problem)
-
-
-def _near_events(near: Orbit | str | Path, problem: Problem) -> Orbit:
-    """Return the known orbit of a search for an orbit of events.
 
     Raises:
         InputError: If the orbit belongs to another problem.

@@ -6,38 +6,17 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import GraphDynamics, ParameterValues, Problem, unknown
-from zeno_orbits.orbits import (
-    ENERGY,
-    PERIOD,
-    Bound,
-    Orbit,
-    course_signal_names,
-    event_quantity_names,
-    has_source,
-    require_event_quantity,
-)
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import Bound, Orbit
 from zeno_orbits.search.candidates import judged, ranked_candidates
 from zeno_orbits.search.closing import require_no_other_start
 from zeno_orbits.search.gains import GainSearch
-from zeno_orbits.search.objectives import (
-    MaxMargin,
-    MaxPush,
-    MinEnergy,
-    MinPeak,
-    MinSpectralRadius,
-    NearestGains,
-    Objective,
-    OfImpacts,
-    TargetAmplitude,
-    TargetPeriod,
-)
+from zeno_orbits.search.objectives import NearestGains, Objective
 from zeno_orbits.search.outcome import Accept, EventSearchResult
-from zeno_orbits.search.points import DIFFERENCED
 from zeno_orbits.search.search_problem import clipped
 from zeno_orbits.search.settings import SearchMethod
-from zeno_orbits.search.validation import require_possible_bounds
+from zeno_orbits.search.validation import check_bounds, check_objective
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import Progress, silent
 
@@ -88,7 +67,10 @@ def search_event_orbits(
         SimulationError: If no motion settles to an orbit at any of the free values.
     """
     wish = objective or NearestGains(target={})
-    _require_valid(problem, values, free, wish, bounds)
+    for name, box in free.items():
+        problem.require_range(name, box, argument="vary")
+    check_objective(problem, wish, free)
+    check_bounds(problem.graph_dynamics(values), bounds)
     if isinstance(wish, NearestGains):
         values = values.replaced(wish.target)
     if near is not None:
@@ -149,81 +131,3 @@ def _places(
     places = low + qmc.Halton(len(free), seed=seed).random(n_starts) * (high - low)
     chosen = [dict(zip(free, map(float, place), strict=True)) for place in places]
     return [values, *(values.replaced(one) for one in chosen)]
-
-
-def _require_valid(
-    problem: Problem,
-    values: ParameterValues,
-    free: Mapping[str, tuple[float, float]],
-    objective: Objective,
-    bounds: Sequence[Bound],
-) -> None:
-    """Reject a search with unknown names, or one that needs a machine with one stop.
-
-    Raises:
-        InputError: If the search is not valid. The message names the invalid part.
-    """
-    # A push needs the graph of a machine with several stops or switches.
-    if not isinstance(objective, _POSSIBLE) and not (
-        isinstance(objective, MaxPush) and problem.has_graph
-    ):
-        words = (
-            "nearest, period, amplitude, energy, peak, contraction, margin, push, impacts or bounce"
-        )
-        wanted = f"must be one of {words}"
-        raise InputError(
-            f"Argument `objective` {wanted} in a search by events, but it "
-            f"asks for {objective.wish}."
-        )
-    for name, box in free.items():
-        problem.require_range(name, box, argument="vary")
-    if isinstance(objective, MaxMargin) and not free:
-        raise InputError(
-            "Argument `objective` asks for the widest margin, which needs a free value: name its "
-            "range in `vary`."
-        )
-    objective.check(problem, free)
-    graph = problem.graph_dynamics(values)
-    if isinstance(objective, MinEnergy):
-        _require_source(graph, "objective", objective.wish)
-    for bound in bounds:
-        _require_quantity(bound.name, graph)
-    require_possible_bounds(bounds)
-
-
-_POSSIBLE = (
-    NearestGains,
-    TargetPeriod,
-    TargetAmplitude,
-    MinEnergy,
-    MinPeak,
-    MinSpectralRadius,
-    MaxMargin,
-    OfImpacts,
-)
-"""Objectives of a search by events."""
-
-
-def _require_quantity(name: str, graph: GraphDynamics) -> None:
-    """Refuse a bound on a quantity that an orbit of events does not have, or on a number."""
-    signals = course_signal_names(graph.compiled)
-    numbers = (PERIOD, ENERGY, *DIFFERENCED)
-    if "." not in name and name not in (*signals, *numbers):
-        known = (*signals, *numbers, *event_quantity_names(graph))
-        raise InputError(unknown("bounds", name, known))
-    if name == ENERGY and name not in signals:
-        _require_source(graph, "bounds", "the energy")
-    if "." in name:
-        require_event_quantity(name, graph, "bounds")
-    if ".impacts" in name:
-        raise InputError(
-            f"Argument `bounds` must not bound the number `{name}`: bound a speed or a time."
-        )
-
-
-def _require_source(graph: GraphDynamics, argument: str, what: str) -> None:
-    if not has_source(graph.compiled):
-        raise InputError(
-            f"Argument `{argument}` asks for {what}, but the machine has no source of energy: "
-            "give its drive an `input_power`, or ask for another quantity."
-        )

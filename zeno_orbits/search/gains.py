@@ -37,6 +37,8 @@ from zeno_orbits.search.closing import (
 )
 from zeno_orbits.search.nearness import nearness_of
 from zeno_orbits.search.objectives import (
+    PERSISTENCE,
+    PUSH,
     MaxMargin,
     MaxPush,
     MinEnergy,
@@ -231,6 +233,8 @@ class BestOrbit:
         values: Values at the end.
         found: The orbit there.
         violation: Largest violation of a bound or a target, in units of its size.
+        extents: Name to range of the quantities of the objective, and of the bounds over all
+            corners.
         is_last: True if the orbit is the last one before the end of a family.
     """
 
@@ -238,6 +242,7 @@ class BestOrbit:
     values: ParameterValues
     found: EventReturn
     violation: float
+    extents: Mapping[str, Extent]
     is_last: bool
 
     def told(self, **changes: Any) -> BestOrbit:
@@ -247,6 +252,15 @@ class BestOrbit:
             changes: The fields.
         """
         return replace(self, result=replace(self.result, **changes))
+
+    def measured(self, name: str, extent: Extent) -> BestOrbit:
+        """Return the same end with a further quantity.
+
+        Args:
+            name: Its name.
+            extent: Its range.
+        """
+        return replace(self, extents={**self.extents, name: extent})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -567,7 +581,7 @@ def _strongest(task: _Task, objective: MaxPush, first: Sample) -> BestOrbit:
         worst_at=dict(best.least.corner),
         mean=float(np.mean(impulses[1:])) if len(impulses) > 1 else None,
         push=best.least.push,
-    )
+    ).measured(PUSH, best.extent)
 
 
 def _widest(task: _Task, first: Sample) -> BestOrbit:
@@ -580,7 +594,8 @@ def _widest(task: _Task, first: Sample) -> BestOrbit:
     trial = task.from_path(best.values, best.orbit, section)
     told = _told(task, first, Optimum(trial=trial, converged=True))
     margin = best.nearest.distance
-    return told.told(value=margin, worst=margin, detail=told.result.detail or best.text)
+    told = told.told(value=margin, worst=margin, detail=told.result.detail or best.text)
+    return told.measured(PERSISTENCE, best.extent)
 
 
 def _section(trial: Sample) -> str:
@@ -662,6 +677,7 @@ def _told(task: _Task, first: Sample, best: Optimum) -> BestOrbit:
         values=point.values,
         found=point.found,
         violation=trial.violation,
+        extents={**{name: point.extent(name) for name in _measured(objective)}, **extents},
         is_last=bool(ending),
     )
 
@@ -674,6 +690,11 @@ def _nears_an_end(first: Sample, best: Optimum) -> bool:
     margins = margins_of_return(before.graph, before.found)
     last = margins_of_return(after.graph, after.found)
     return any(value < _GONE * margins[name] for name, value in last.items() if name in margins)
+
+
+def _measured(objective: Objective) -> tuple[str, ...]:
+    """Return the quantities of an objective that one orbit has."""
+    return () if objective.is_sampled else objective.quantities
 
 
 def _at_the_end(task: _Task, first: Sample, best: Optimum) -> tuple[Optimum, str]:

@@ -247,7 +247,7 @@ class TargetAmplitude(Target):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MinEnergy(WorstCase):
-    """The least electrical work in a period. Uncertain ranges are for `search_event_gains`."""
+    """The least work of sources and external forces in a period."""
 
     @property
     def wish(self) -> str:
@@ -263,8 +263,6 @@ class MinEnergy(WorstCase):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MinPeak(WorstCase):
     """The least peak of a signal: its largest absolute value in a period.
-
-    Uncertain ranges are for `search_event_gains`.
 
     Attributes:
         signal: Name of the signal.
@@ -406,7 +404,7 @@ class MaxPush(Sampled, WorstCase):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfImpacts(Sampled, WorstCase):
-    """Base of objectives about impacts, for `search_event_gains`.
+    """Base of objectives about impacts.
 
     Attributes:
         stop: Name of the stop, or an empty text for all stops. The one stop of a machine without

@@ -77,11 +77,15 @@ class SimulatedOrbit:
         values: Its gains and parameters.
         found: The periodic return.
         orbit: The same as an orbit, not verified.
+        extents: Name to range of the quantities of objective and bounds.
+        score: Its score.
     """
 
     values: ParameterValues
     found: EventReturn
     orbit: Orbit
+    extents: Mapping[str, Extent]
+    score: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

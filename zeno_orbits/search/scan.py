@@ -25,6 +25,7 @@ from zeno_orbits.orbits import (
     event_return,
     objection_to,
 )
+from zeno_orbits.search.closing import settled_return
 from zeno_orbits.search.objectives import Target, TargetPeriod
 from zeno_orbits.search.points import OrbitAtValues
 from zeno_orbits.search.search_problem import SearchProblem, clipped
@@ -118,7 +119,7 @@ def require_period_in_reach(search: SearchProblem, objective: TargetPeriod) -> N
     """
     problem = search.problem
     start = np.array(problem.state_vector(problem.starts[0], search.values))
-    if objective.is_far_from(own_time(problem.dynamics(search.values), start)):
+    if objective.is_far_from(own_time(search.first_system(search.values), start)):
         orbits = [one for one in _attractors(search) if one.fate in ORBITS]
         objective.require_near([one.period for one in orbits])
 
@@ -207,7 +208,7 @@ def _by_distance(
         others = [
             float(np.max(np.abs(unit[k] - unit[j])))
             for j, other in enumerate(attractors)
-            if (other.fate, other.returns) != (one.fate, one.returns)
+            if (other.fate, other.returns, other.sequence) != (one.fate, one.returns, one.sequence)
         ]
         found.append(rank if rank.group else rank._replace(score=-min(others, default=1.0)))
     return found
@@ -254,6 +255,9 @@ def _point_at(
         ZenoOrbitsError: If its motion cannot be simulated for a period.
     """
     graph, state = search.problem.graph_dynamics(values), attractor.state
+    if attractor.sequence:
+        found = settled_return(search.problem, values, starts=(state,), changing=tuple(search.free))
+        return OrbitAtValues(values=values, graph=graph, found=found, chosen=())
     start, n_returns = np.array(search.problem.state_vector(state)), attractor.returns
     stop, is_released = graph.stop_names[0], n_returns > 0
     if not is_released:

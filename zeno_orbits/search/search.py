@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, EventSequence, Orbit
@@ -111,7 +110,8 @@ def search_orbits(
     )
     check_search(search)
     if near is not None:
-        search = replace(search, shape=near.shape.agreed(shape))
+        agreed = near.phases_as if shape is None else near.shape.agreed(shape)
+        search = replace(search, shape=agreed)
     search = with_targets(search)
     _require_reach(search)
     if spread is None:
@@ -198,12 +198,18 @@ def _with_coexisting(
     return candidates, N_STATES
 
 
-def _has_event_at(search: SearchProblem, orbit: Orbit, state: Vector) -> bool:
-    events = np.array([search.problem.state_vector(one) for one in orbit.states_at_events])
-    sizes = search.problem.dynamics(orbit.values(search.problem)).own.not_small(
-        np.max(np.abs(events), axis=0), SAME_STATE
+def _has_start_of(search: SearchProblem, orbit: Orbit, other: Orbit) -> bool:
+    """Return True if a period of another orbit starts at one of the events of an orbit."""
+    problem = search.problem
+    state = np.array(problem.state_vector(other.events[-1].state))
+    events = [(one.name, np.array(problem.state_vector(one.state))) for one in orbit.events]
+    largest = np.max(np.abs(np.array([at for _, at in events])), axis=0)
+    graph = problem.graph_dynamics(orbit.values(problem))
+    sizes = graph.own.not_small(largest, SAME_STATE)
+    return any(
+        name == other.events[-1].name and bool(np.all(np.abs(at - state) <= SAME_STATE * sizes))
+        for name, at in events
     )
-    return bool(np.any(np.all(np.abs(events - state) <= SAME_STATE * sizes, axis=1)))
 
 
 def _summary(search: SearchProblem) -> str:
@@ -254,11 +260,10 @@ def _same(search: SearchProblem, one: Candidate, other: Candidate) -> bool:
 
     The values of an optimum are less accurate than its score, as the score is flat there.
     """
-    if one.orbit.shape != other.orbit.shape:
+    if one.orbit.sequence != other.orbit.sequence:
         return False
     if not search.free:
-        state = np.array(search.problem.state_vector(one.orbit.start_state))
-        return _has_event_at(search, other.orbit, state)
+        return _has_start_of(search, other.orbit, one.orbit)
     a, b = one.orbit.values(search.problem), other.orbit.values(search.problem)
     pairs = [(a.number(name), b.number(name)) for name in search.free]
     pairs.append((one.orbit.period, other.orbit.period))

@@ -64,7 +64,7 @@ class SearchProblem:
     def seeks_optimum(self) -> bool:
         """True if starts all over the box are compared, False for the nearest orbit."""
         several = self.free and self.settings.n_starts > 0 and self.near is None
-        return bool(several and self.objective.quantities)
+        return bool(several and (self.objective.quantities or self.objective.is_sampled))
 
     def score(self, values: ParameterValues, extents: Mapping[str, Extent]) -> float:
         """Return the score of an orbit. A lower score is better.
@@ -78,9 +78,9 @@ class SearchProblem:
         numbers = {name: values.number(name) for name in self.free}
         return self.objective.score(numbers, nearness_of(self.values, self.free), extents)
 
-    def dynamics(self, values: ParameterValues) -> HybridDynamics:
-        """Return the system at given values."""
-        return self.problem.dynamics(values)
+    def first_system(self, values: ParameterValues) -> HybridDynamics:
+        """Return the system of the first stop at given values."""
+        return self.problem.first_system(values)
 
     def numbers(self, values: ParameterValues) -> dict[str, float]:
         """Return the values that describe a start: all gains, and the free parameters."""

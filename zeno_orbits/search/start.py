@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
-from zeno_orbits.errors import InputError, ZenoOrbitsError
+from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, EventReturn, Orbit, objection_to
 from zeno_orbits.search.closing import event_orbit_of
 from zeno_orbits.search.number_notes import far_from_own
-from zeno_orbits.search.objectives import PERSISTENCE, PUSH, MaxPush, NearestGains
+from zeno_orbits.search.objectives import MaxPush, NearestGains
 from zeno_orbits.search.outcome import Accept, Candidate, SimulatedOrbit, StartOutcome, Verdict
-from zeno_orbits.search.persistence import persistence
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.strategy import SearchStart, from_orbit, from_start, paths_of
-from zeno_orbits.search.strength import orbits_at_corners, strength
-from zeno_orbits.simulation import Extent
-from zeno_orbits.verification import measure
+from zeno_orbits.search.strength import orbits_at_corners
 
 
 def start_count(search: SearchProblem) -> int:
@@ -109,10 +105,7 @@ def _judged(
     if outcome.status is not SearchStatus.FOUND or solution is None:
         return outcome, None
     orbit = solution.orbit
-    try:
-        extents = _measured(search, solution, name)
-    except ZenoOrbitsError as error:
-        return replace(outcome, status=SearchStatus.NOT_ACCEPTED, detail=str(error)), None
+    extents = solution.extents
     judgement = Verdict(objection=objection_to(search.bounds, extents))
     if not judgement.objection and accept is not None:
         search.tell(f"{name}: verifying")
@@ -125,9 +118,15 @@ def _judged(
             repels=judgement.repels,
         )
         return refused, judgement
-    score = search.score(orbit.values(search.problem), extents)
-    certificate = judgement.certificate
-    candidate = Candidate(orbit=orbit, score=score, extents=extents, certificate=certificate)
+    objective, score = search.objective, solution.score
+    if search.free and not (objective.quantities or objective.is_sampled):
+        score = search.score(solution.values, extents)
+    candidate = Candidate(
+        orbit=orbit,
+        score=score if search.free else 0.0,
+        extents=extents,
+        certificate=judgement.certificate,
+    )
     return replace(outcome, candidate=candidate), judgement
 
 
@@ -307,24 +306,6 @@ def _at_part(
     }
     there = SearchStart(values=start.values.replaced(numbers), near=near)
     return _judged(search, from_start(replace(search, free={}), there), accept, name)[0]
-
-
-def _measured(search: SearchProblem, solution: SimulatedOrbit, name: str) -> Mapping[str, Extent]:
-    names = [bound.name for bound in search.bounds]
-    if search.free:
-        names = [*search.objective.quantities, *names]
-    if not names:
-        return {}
-    search.tell(f"{name}: measuring {', '.join(dict.fromkeys(names))}")
-    values, found, sampled = solution.values, solution.found, (PERSISTENCE, PUSH)
-    names_of_orbit = [one for one in names if one not in sampled]
-    extents = measure(solution.orbit, search.problem, names_of_orbit)
-    paths = paths_of(search, values)
-    if PERSISTENCE in names:
-        extents[PERSISTENCE] = persistence(paths, values, found).extent
-    if PUSH in names and isinstance(search.objective, MaxPush):
-        extents[PUSH] = strength(paths, search.objective, values, found).extent
-    return extents
 
 
 def _easy_values(problem: Problem, values: ParameterValues) -> tuple[ParameterValues, ...]:

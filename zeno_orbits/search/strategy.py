@@ -16,9 +16,10 @@ from zeno_orbits.orbits import (
     shortest_return,
 )
 from zeno_orbits.search.closing import event_orbit_of, return_near, settled_return
-from zeno_orbits.search.gains import GainSearch
+from zeno_orbits.search.gains import BestOrbit, GainSearch
 from zeno_orbits.search.limits import beyond_limits
 from zeno_orbits.search.line import Followed
+from zeno_orbits.search.objectives import MaxMargin, MaxPush, NearestGains
 from zeno_orbits.search.outcome import SimulatedOrbit, StartOutcome
 from zeno_orbits.search.paths import TO_VALUES, OrbitPaths
 from zeno_orbits.search.points import OrbitsOverValues
@@ -123,13 +124,13 @@ def from_orbit(search: SearchProblem, values: ParameterValues, found: EventRetur
         values: Values of the orbit.
         found: The orbit.
     """
-    if not search.free:
-        return _compared(search, values, found)
+    # Margins and pushes of one orbit are not part of its search.
+    is_held = not search.free and isinstance(search.objective, MaxMargin | MaxPush)
     gains = GainSearch(
         problem=search.problem,
         origin=search.values,
         free=search.free,
-        objective=search.objective,
+        objective=NearestGains(target={}) if is_held else search.objective,
         bounds=search.bounds,
         shape=search.shape,
         starts=search.initial_states,
@@ -140,6 +141,8 @@ def from_orbit(search: SearchProblem, values: ParameterValues, found: EventRetur
         best = gains.best(found, values)
     except SimulationError as error:
         return StartOutcome(status=SearchStatus.NOT_SOLVED, detail=f"{error.reason.rstrip('.')}.")
+    if not search.free:
+        return _compared(search, best)
     result = best.result
     if result.orbit is None:
         return StartOutcome(
@@ -148,7 +151,7 @@ def from_orbit(search: SearchProblem, values: ParameterValues, found: EventRetur
             iterations=result.iterations,
             shortfall=best.violation,
         )
-    outcome = _compared(search, best.values, best.found)
+    outcome = _compared(search, best)
     said = (result.detail or result.told_push, *result.remarks, outcome.detail)
     return replace(
         outcome,
@@ -176,8 +179,9 @@ def paths_of(search: SearchProblem, values: ParameterValues) -> OrbitPaths:
     )
 
 
-def _compared(search: SearchProblem, values: ParameterValues, found: EventReturn) -> StartOutcome:
+def _compared(search: SearchProblem, best: BestOrbit) -> StartOutcome:
     """Return an orbit with its agreement with a program, whose mesh is refined until they agree."""
+    values, found = best.values, best.found
     problem, settings = search.problem, search.settings
     graph = problem.graph_dynamics(values)
     try:
@@ -201,7 +205,14 @@ def _compared(search: SearchProblem, values: ParameterValues, found: EventReturn
             settings, transcription=replace(settings.transcription, mesh_tolerance=mesh)
         )
         seen = agreement_of(graph, found, settings.transcription)
-    return _found(seen, SimulatedOrbit(values=values, found=found, orbit=orbit), settings.agreement)
+    solution = SimulatedOrbit(
+        values=values,
+        found=found,
+        orbit=orbit,
+        extents=best.extents,
+        score=best.result.score,
+    )
+    return _found(seen, solution, settings.agreement)
 
 
 def _is_of_shape(orbit: Orbit, shape: EventSequence) -> bool:

@@ -8,20 +8,30 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import Problem
-from zeno_orbits.orbits import RELEASE_ROWS, Bound, shape_of_events
+from zeno_orbits.model import CompiledGraph, GraphDynamics, Problem, unknown
+from zeno_orbits.orbits import (
+    ENERGY,
+    PERIOD,
+    RELEASE_ROWS,
+    Bound,
+    course_signal_names,
+    event_quantity_names,
+    has_source,
+    multipliers_of_return,
+    require_event_quantity,
+)
 from zeno_orbits.search.objectives import (
     LEAST_RADIUS,
+    MaxMargin,
     MinEnergy,
-    MinPeak,
     MinSpectralRadius,
-    OfImpacts,
+    Objective,
     TargetPeriod,
 )
+from zeno_orbits.search.points import DIFFERENCED
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.strategy import simulated
 from zeno_orbits.simulation import steady_turn
-from zeno_orbits.verification import require_quantities
 
 
 def check_search(search: SearchProblem) -> None:
@@ -35,22 +45,11 @@ def check_search(search: SearchProblem) -> None:
     _check_impacts(search)
     for state in search.initial_states:
         problem.state_vector(state)
-    if isinstance(search.objective, OfImpacts):
-        raise InputError(
-            "Argument `objective` is about impacts: call `search_event_gains` in place of "
-            "`search_gains`."
-        )
-    if isinstance(search.objective, (MinEnergy, MinPeak)) and search.objective.uncertain:
-        raise InputError(
-            "Argument `objective` has uncertain ranges: call `search_event_gains` in place of "
-            "`search_gains`."
-        )
-    search.objective.check(problem, search.free)
+    check_objective(problem, search.objective, search.free)
     if isinstance(search.objective, TargetPeriod):
         _check_period(search, search.objective.target)
     _check_multipliers(search)
-    require_quantities([bound.name for bound in search.bounds], problem, "bounds")
-    require_possible_bounds(search.bounds)
+    check_bounds(problem.graph_dynamics(search.values), search.bounds)
     if near is not None and near.problem != problem.name:
         message = f"must be of problem `{problem.name}`, but it is of `{near.problem}`"
         raise InputError(f"Argument `near` {message}.")
@@ -63,7 +62,7 @@ def _check_boxes(problem: Problem, free: Mapping[str, tuple[float, float]]) -> N
 
 def _check_impacts(search: SearchProblem) -> None:
     """Reject elastic impacts if the shape of the orbits has a contact phase."""
-    shape = search.shape or (search.near.shape if search.near is not None else None)
+    shape = search.shape or (search.near.phases_as if search.near is not None else None)
     if shape is None or shape.without_contact:
         return
     _, highest = search.free.get("restitution", (0.0, None))
@@ -118,7 +117,7 @@ def _turn(search: SearchProblem, numbers: Mapping[str, float]) -> float | None:
     """Return the period of the clock at given values [s], or ``None`` without a steady clock."""
     values = search.values.replaced(numbers)
     try:
-        dynamics, start = search.dynamics(values), search.starts_at(values)[0]
+        dynamics, start = search.first_system(values), search.starts_at(values)[0]
     except InputError:
         return None
     return steady_turn(dynamics, np.array(start))
@@ -133,20 +132,80 @@ def _check_multipliers(search: SearchProblem) -> None:
     bounded = any(bound.name == "spectral_radius" for bound in search.bounds)
     if not (bounded or isinstance(search.objective, MinSpectralRadius)):
         return
-    dynamics = search.dynamics(search.values)
+    dynamics = search.first_system(search.values)
     start = np.array(search.starts_at(search.values)[0])
-    shape = search.shape or (search.near.shape if search.near is not None else None)
     if len(start) - dynamics.holonomic(start).size > len(RELEASE_ROWS):
         return
-    if shape is None:
-        found = simulated(search, search.values).found
-        if found is not None:
-            is_plastic = dynamics.restitution == 0.0
-            shape = shape_of_events(found.events, is_plastic=is_plastic)
-    if shape is not None and shape.starts_at_release:
+    found = None if _is_without_release(search) else simulated(search, search.values).found
+    graph = search.problem.graph_dynamics(search.values)
+    if found is not None and not multipliers_of_return(graph, found):
         option = "bounds" if bounded else "objective"
         message = "must not ask for multipliers: the section of its releases is a point"
         raise InputError(f"Argument `{option}` {message}. Choose another objective or bound.")
+
+
+def _is_without_release(search: SearchProblem) -> bool:
+    shape = search.shape or (search.near.phases_as if search.near is not None else None)
+    return shape is not None and not shape.starts_at_release
+
+
+def check_objective(
+    problem: Problem, objective: Objective, free: Mapping[str, tuple[float, float]]
+) -> None:
+    """Reject an objective that a problem does not have.
+
+    Args:
+        problem: The problem.
+        objective: The objective.
+        free: Name to range of the free values.
+
+    Raises:
+        InputError: If the objective is not valid. The message names the invalid part.
+    """
+    if isinstance(objective, MaxMargin) and not free:
+        raise InputError(
+            "Argument `objective` asks for the widest margin, which needs a free value: name its "
+            "range in `vary`."
+        )
+    objective.check(problem, free)
+    if isinstance(objective, MinEnergy):
+        _require_source(problem.compiled_graph(), "objective", objective.wish)
+
+
+def check_bounds(graph: GraphDynamics, bounds: Sequence[Bound]) -> None:
+    """Reject bounds on unknown quantities, on numbers of events, and bounds that nothing keeps.
+
+    Args:
+        graph: The graph of modes.
+        bounds: The bounds.
+
+    Raises:
+        InputError: If a bound is not valid. The message names it.
+    """
+    signals = course_signal_names(graph.compiled)
+    numbers = (PERIOD, ENERGY, *DIFFERENCED)
+    for name in [bound.name for bound in bounds]:
+        if "." not in name and name not in (*signals, *numbers):
+            raise InputError(
+                unknown("bounds", name, (*signals, *numbers, *event_quantity_names(graph)))
+            )
+        if name == ENERGY and name not in signals:
+            _require_source(graph.compiled, "bounds", "the energy")
+        if "." in name:
+            require_event_quantity(name, graph, "bounds")
+        if ".impacts" in name:
+            raise InputError(
+                f"Argument `bounds` must not bound the number `{name}`: bound a speed or a time."
+            )
+    require_possible_bounds(bounds)
+
+
+def _require_source(compiled: CompiledGraph, argument: str, what: str) -> None:
+    if not has_source(compiled):
+        raise InputError(
+            f"Argument `{argument}` asks for {what}, but the machine has no source of energy: "
+            "give its drive an `input_power`, or ask for another quantity."
+        )
 
 
 def require_possible_bounds(bounds: Sequence[Bound]) -> None:
