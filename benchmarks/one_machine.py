@@ -121,7 +121,7 @@ TASKS: dict[str, Callable[[Any, Path], Any]] = {
     "identify": lambda orbit, _: _fitted(orbit),
     "simulate_with_error": lambda orbit, _: zo.simulate_with_error(orbit.problem, until=1.0),
     "write_orbit": _written,
-    "search_gains": lambda orbit, _: zo.search_gains(orbit.problem, near=orbit, free={}),
+    "search_gains": lambda orbit, _: zo.search_gains(orbit.problem, near=orbit, vary={}).unwrap(),
     "search_event_gains": lambda orbit, _: zo.search_event_gains(
         orbit.problem, near=orbit, free={}
     ),

@@ -56,7 +56,7 @@ def agreement_of(
     """
     builder = ElementBuilder()
     period = write_period(builder, graph, found, {}, settings=settings)
-    program = builder.built()
+    program = builder.built(is_square=True)
     solution = program.solve(_SETTINGS)
     is_solved = solution.status in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE)
     tails = [places.leg.tail for places in period.legs]

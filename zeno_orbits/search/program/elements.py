@@ -19,6 +19,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -35,23 +36,21 @@ Terms = tuple[Rows, ArrayLike]
 """Places of unknowns or outputs, ``(m,)``, and their weights in as many rows."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LegElement:
     """A function of a column of unknowns and a column of constants.
 
     Attributes:
         values: ``(column, constants) -> outputs``.
         jacobian: The nonzero entries of its Jacobian.
-        hessian: ``(column, constants, weights) -> nonzero entries`` of the weighted Hessian.
         jacobian_at: Output and unknown of each entry of the Jacobian, ``(2, n)``.
-        hessian_at: The two unknowns of each entry of the Hessian, ``(2, n)``.
+        symbols: The symbols of the column and of the constants, and the outputs.
     """
 
     values: ca.Function
     jacobian: ca.Function
-    hessian: ca.Function
     jacobian_at: Rows
-    hessian_at: Rows
+    symbols: tuple[ca.SX, ca.SX, ca.SX]
 
     @classmethod
     def of(cls, column: ca.SX, constants: ca.SX, outputs: ca.SX) -> LegElement:
@@ -63,31 +62,45 @@ class LegElement:
             outputs: The outputs, ``(r,)``.
         """
         dense = _ca.densify(outputs)
-        weights = ca.SX.sym("weights", dense.numel())
         first = _ca.jacobian(dense, column)
-        second = _ca.hessian(_ca.dot(weights, dense), column)[0]
-        options = {"cse": True}
-
-        def entries(matrix: Any) -> Any:
-            nonzeros = _ca.vertcat(*matrix.nonzeros()) if matrix.nnz() else ca.SX(0, 1)
-            return _ca.densify(nonzeros)
-
-        def places(matrix: Any) -> Rows:
-            return np.array(matrix.sparsity().get_triplet(), dtype=np.intp).reshape(2, -1)
-
         inputs = [column, constants]
         return cls(
-            values=ca.Function("values", inputs, [dense], options),
-            jacobian=ca.Function("jacobian", inputs, [entries(first)], options),
-            hessian=ca.Function("hessian", [*inputs, weights], [entries(second)], options),
-            jacobian_at=places(first),
-            hessian_at=places(second),
+            values=ca.Function("values", inputs, [dense], _OPTIONS),
+            jacobian=ca.Function("jacobian", inputs, [_entries(first)], _OPTIONS),
+            jacobian_at=_places(first),
+            symbols=(column, constants, dense),
         )
+
+    @cached_property
+    def curvature(self) -> tuple[ca.Function, Rows]:
+        """The weighted Hessian, which a square program does not need.
+
+        ``(column, constants, weights) -> nonzero entries``, and the two unknowns of each entry,
+        ``(2, n)``.
+        """
+        column, constants, dense = self.symbols
+        weights = ca.SX.sym("weights", dense.numel())
+        second = _ca.hessian(_ca.dot(weights, dense), column)[0]
+        inputs = [column, constants, weights]
+        return ca.Function("hessian", inputs, [_entries(second)], _OPTIONS), _places(second)
 
     @property
     def n_outputs(self) -> int:
         """Number of outputs."""
         return int(self.values.numel_out(0))
+
+
+_OPTIONS = {"cse": True}
+
+
+def _entries(matrix: Any) -> Any:
+    """Return the nonzero entries of a matrix as a dense column."""
+    return _ca.densify(_ca.vertcat(*matrix.nonzeros()) if matrix.nnz() else ca.SX(0, 1))
+
+
+def _places(matrix: Any) -> Rows:
+    """Return row and column of each nonzero entry, ``(2, n)``."""
+    return np.array(matrix.sparsity().get_triplet(), dtype=np.intp).reshape(2, -1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +158,9 @@ class ElementProgram:
         Raises:
             KeyboardInterrupt: If the user interrupts. Ipopt alone would suppress the interrupt.
         """
-        options = settings.as_casadi() | dict(self.derivatives)
+        options: dict[str, Any] = settings.as_casadi() | dict(self.derivatives)
+        if "hess_lag" not in self.derivatives:
+            options["ipopt"]["hessian_approximation"] = "limited-memory"
         solver = _ca.nlpsol("orbit", "ipopt", dict(self.functions), options)
         started = time.perf_counter()
         with quiet_interrupts():
@@ -343,8 +358,12 @@ class ElementBuilder:
             found[calls.outputs] = np.array(ca.DM(values).full())
         return found[places]
 
-    def built(self) -> ElementProgram:
-        """Return the program."""
+    def built(self, *, is_square: bool = False) -> ElementProgram:
+        """Return the program.
+
+        Args:
+            is_square: Whether it has no choice, so that second derivatives are left out.
+        """
         sizes = np.concatenate(self._sizes)
         z = ca.MX.sym("z", self._n)
         weights, factor = ca.MX.sym("weights", self._n_rows), ca.MX.sym("factor")
@@ -354,7 +373,7 @@ class ElementBuilder:
         of_outputs = _sparse(self._of_outputs, (self._n_rows, self._n_outputs))
         at_outputs = ca.DM(_filled(self._cost_of_outputs, self._n_outputs))
         by_output = _ca.densify(_ca.mtimes(of_outputs.T, weights) + at_outputs * factor)
-        phi, slopes, curvatures = self._evaluated(x, by_output)
+        phi, slopes = self._evaluated(x)
         rows = _ca.mtimes(linear, x) + _ca.mtimes(of_outputs, phi) + np.concatenate(self._constants)
         unit = _ca.diag(ca.DM(sizes))
         sloped = linear + _ca.mtimes(of_outputs, slopes)
@@ -370,14 +389,17 @@ class ElementBuilder:
             + _ca.dot(ca.DM(stiff), off * off) / 2
         )
         gradient = _ca.mtimes(slopes.T, at_outputs) + ca.DM(cost) + ca.DM(stiff) * off
-        hessian = self._hessian(curvatures, sizes, stiff, factor)
         inputs = [z, nothing]
+        second: dict[str, ca.Function] = {}
+        if not is_square:
+            hessian = self._hessian(self._curvatures(x, by_output), sizes, stiff, factor)
+            second = {"hess_lag": ca.Function("hessian", [*inputs, factor, weights], [hessian])}
         return ElementProgram(
             functions={"x": z, "f": value, "g": rows},
             derivatives={
                 "jac_g": ca.Function("rows", inputs, [rows, jacobian]),
                 "grad_f": ca.Function("objective", inputs, [value, ca.DM(sizes) * gradient]),
-                "hess_lag": ca.Function("hessian", [*inputs, factor, weights], [hessian]),
+                **second,
             },
             sizes=sizes,
             guess=np.concatenate(self._guess),
@@ -386,14 +408,13 @@ class ElementBuilder:
             row_names=tuple(self._row_names),
         )
 
-    def _evaluated(self, x: ca.MX, weights: ca.MX) -> tuple[Any, Any, list[tuple[Rows, Rows, Any]]]:
-        """Return all outputs, their Jacobian, and entries of the Hessian with their places."""
+    def _evaluated(self, x: ca.MX) -> tuple[Any, Any]:
+        """Return all outputs, and their Jacobian."""
         values: list[Any] = []
         order: list[Rows] = []
         slopes: list[Any] = []
         at: list[Rows] = []
         by: list[Rows] = []
-        curvatures: list[tuple[Rows, Rows, Any]] = []
         for calls in self._calls.values():
             element, n = calls.element, calls.columns.shape[1]
             columns = _ca.reshape(x[_listed(calls.columns)], len(calls.columns), n)
@@ -404,13 +425,6 @@ class ElementBuilder:
                 slopes.append(_ca.vec(element.jacobian.map(n)(columns, constants)))
                 at.append(calls.outputs[element.jacobian_at[0]].ravel(order="F"))
                 by.append(calls.columns[element.jacobian_at[1]].ravel(order="F"))
-            if element.hessian_at.size:
-                own = _ca.reshape(weights[_listed(calls.outputs)], element.n_outputs, n)
-                entries = _ca.vec(element.hessian.map(n)(columns, constants, own))
-                first, second = (
-                    calls.columns[side].ravel(order="F") for side in element.hessian_at
-                )
-                curvatures.append((first, second, entries))
         joined = _ca.vertcat(*values)
         phi = joined[np.argsort(np.concatenate(order)).tolist()]
         jacobian = _scattered(
@@ -419,7 +433,22 @@ class ElementBuilder:
             _ca.vertcat(*slopes),
             (self._n_outputs, self._n),
         )
-        return phi, jacobian, curvatures
+        return phi, jacobian
+
+    def _curvatures(self, x: ca.MX, weights: ca.MX) -> list[tuple[Rows, Rows, Any]]:
+        """Return entries of the Hessian of weighted outputs with their places."""
+        found: list[tuple[Rows, Rows, Any]] = []
+        for calls in self._calls.values():
+            hessian, places = calls.element.curvature
+            if not places.size:
+                continue
+            n = calls.columns.shape[1]
+            columns = _ca.reshape(x[_listed(calls.columns)], len(calls.columns), n)
+            own = _ca.reshape(weights[_listed(calls.outputs)], calls.element.n_outputs, n)
+            entries = _ca.vec(hessian.map(n)(columns, ca.DM(calls.constants), own))
+            first, second = (calls.columns[side].ravel(order="F") for side in places)
+            found.append((first, second, entries))
+        return found
 
     def _hessian(
         self, curvatures: list[tuple[Rows, Rows, Any]], sizes: Array, stiff: Array, factor: ca.MX
