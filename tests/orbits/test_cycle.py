@@ -22,9 +22,7 @@ from zeno_orbits.orbits import (
     cycle_between,
     cycles,
     first_cycles,
-    minimal_period,
     phases_of,
-    round_again,
 )
 from zeno_orbits.simulation import Ending, Execution, Mode, simulate
 
@@ -119,32 +117,6 @@ def test_the_scale_counts_what_is_largest_on_the_locked_arc() -> None:
     inside = max(abs(turn.locked.state_at(t)[2]) for t in times)
     assert inside > 1.4 * turn.scale_at_events()[2]
     assert short.scale()[2] == pytest.approx(inside, rel=0.01)
-
-
-def test_a_period_gone_round_twice_is_told_by_the_state_half_way(turns: Execution) -> None:
-    first, second, _ = cycles(turns)
-    assert minimal_period(first) is None
-    twice = cycle_between(turns, (*first.phases, *second.phases))
-    assert twice.shorter_periods(twice.scale()) == {first.shape: 0.0}
-    assert minimal_period(twice) == first.shape
-    text, once = twice.shape.text, first.shape.text
-    assert (
-        round_again(twice)
-        == f"The orbit of shape `{text}` is one of shape `{once}`, traversed 2 times."
-    )
-
-
-def test_two_unlike_returns_are_no_period_gone_round_twice(machine: HybridDynamics) -> None:
-    start = machine.on_stop(np.array(RELEASE) * 1.05)
-    run = simulate(machine, start, until=4 * PERIOD)
-    first, second = cycles(run)[:2]
-    twice = cycle_between(run, (*first.phases, *second.phases))
-    scale = twice.scale()
-    off = np.abs(second.start.state - first.start.state) / scale
-    assert np.min(off) < np.max(off)
-    assert twice.shorter_periods(scale) == {first.shape: np.max(off)}
-    assert minimal_period(twice) is None
-    assert round_again(twice) == ""
 
 
 @pytest.mark.parametrize("missing", ["zeno", "locked"])
@@ -285,45 +257,3 @@ def test_a_drift_is_the_largest_change_in_units_of_the_scale() -> None:
     cycle = replace(cycle, phases=(moved,))
     assert cycle.drift(np.array([1.0, 4.0])) == 0.75
     assert cycle.drift(np.array([0.25, 4.0])) == 2.0
-
-
-def test_each_shorter_shape_is_judged_by_the_start_of_its_second_period() -> None:
-    run = execution_of(*RETURNS)
-    (first, *_), names = (
-        first_cycles(run, START, EventSequence.parsed("zeno*4")),
-        ("zeno", "zeno*2"),
-    )
-    scale = np.array([1.0, 2.0])
-
-    def at_distances(one: float, two: float) -> Cycle:
-        places = (0.0, one, two, 9.0)
-        phases = tuple(
-            replace(phase, start=Moment(time=phase.start.time, state=np.array([place, place])))
-            for phase, place in zip(first.phases, places, strict=True)
-        )
-        return replace(first, phases=phases)
-
-    for one, two in ((5.0, 3.0), (-5.0, 2e-6)):
-        found = at_distances(one, two).shorter_periods(scale)
-        assert {shape.text: apart for shape, apart in found.items()} == dict(
-            zip(names, (abs(one), abs(two)), strict=True)
-        )
-    # A millionth is how certain an orbit is.
-    found = at_distances(1e-6, 1.1e-6).shorter_periods(scale)
-    assert list(found.values()) == [0.0, 1.1e-6]
-
-
-def test_the_shortest_shape_that_a_cycle_goes_round_is_named_with_its_number_of_turns() -> None:
-    run = execution_of(*RETURNS)
-    (four,) = first_cycles(run, START, EventSequence.parsed("zeno*4"))
-    half = tuple(
-        replace(phase, start=Moment(time=phase.start.time, state=at(k % 2)))
-        for k, phase in enumerate(four.phases)
-    )
-    twice = replace(four, phases=half)
-    assert minimal_period(twice) == EventSequence.parsed("zeno*2")
-    text = round_again(twice)
-    assert "`zeno*4`" in text
-    assert "`zeno*2`, traversed 2 times" in text
-    once = tuple(replace(phase, start=four.start) for phase in four.phases)
-    assert "`zeno`, traversed 4 times" in round_again(replace(four, phases=once))

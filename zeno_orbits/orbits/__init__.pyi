@@ -7,8 +7,6 @@ from .cycle import Cycle as Cycle
 from .cycle import cycle_between as cycle_between
 from .cycle import cycles as cycles
 from .cycle import first_cycles as first_cycles
-from .cycle import minimal_period as minimal_period
-from .cycle import round_again as round_again
 from .digest import digest_of as digest_of
 from .digest import other_equations as other_equations
 from .digest import same_equations as same_equations
@@ -110,7 +108,6 @@ from .section import Section as Section
 from .section import project_to_section as project_to_section
 from .section import release_section as release_section
 from .section import rows_of as rows_of
-from .section import section_along as section_along
 from .section import section_around as section_around
 from .stability import RECOVERED as RECOVERED
 from .stability import SlowDirection as SlowDirection

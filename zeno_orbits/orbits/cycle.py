@@ -17,9 +17,6 @@ from zeno_orbits.simulation import Arc, Execution, Impact, Mode, ZenoPoint
 _VANISHING = 1e-9
 """Size of a state relative to the largest, in characteristic scales, below which it is rounding."""
 
-_SAME = 1e-6
-"""Relative distance below which two starts of phases are equal: the accuracy of an orbit."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Cycle:
@@ -129,23 +126,6 @@ class Cycle:
         """
         return self._sizes_at_events.copy()
 
-    def shorter_periods(self, scale: Vector) -> dict[EventSequence, float]:
-        """Return the distance of the cycle from several periods of each shorter shape.
-
-        Args:
-            scale: Size of each state, ``(n_x,)``.
-
-        Returns:
-            For each shape, the distance between the start and the start of its second period, in
-            units of ``scale``. The distance is 0 if both are equal to the accuracy of an orbit.
-        """
-        found: dict[EventSequence, float] = {}
-        for shape in self.shape.shorter:
-            again = self.phases[shape.n_phases].start.state
-            apart = float(np.max(np.abs(again - self.start.state) / scale))
-            found[shape] = apart if apart > _SAME else 0.0
-        return found
-
     @cached_property
     def _sizes_at_events(self) -> Vector:
         sizes = np.max(np.abs(self._event_states()), axis=0)
@@ -233,25 +213,3 @@ def first_cycles(execution: Execution, start: Vector, shape: EventSequence) -> t
             break
         found.append(cycle_between(execution, period, since=None if found else 0.0))
     return tuple(found)
-
-
-def minimal_period(cycle: Cycle) -> EventSequence | None:
-    """Return the shorter shape if a cycle consists of several of its periods, else ``None``."""
-    if not cycle.shape.shorter:
-        # With some integrators the scale requires an integration.
-        return None
-    shorter = cycle.shorter_periods(cycle.scale()).items()
-    return next((shape for shape, apart in shorter if apart == 0.0), None)
-
-
-def round_again(cycle: Cycle) -> str:
-    """Return a sentence with the shorter shape of which a cycle contains several periods.
-
-    It is empty if the cycle is a single period.
-    """
-    shorter = minimal_period(cycle)
-    if shorter is None:
-        return ""
-    n = cycle.shape.n_phases // shorter.n_phases
-    what = f"The orbit of shape `{cycle.shape.text}` is one of shape `{shorter.text}`"
-    return f"{what}, traversed {n} times."

@@ -194,7 +194,7 @@ def section_around(
     if not parameters:
         return section
     slopes = conditions_gradient(dynamics, parameters, rows, centre)[:, centre.size :]
-    return _moving(section, slopes)
+    return replace(section, drift=-scale[:, None] * (section.normal @ slopes))
 
 
 def section_of(gradient: Vector, centre: Vector, scale: Vector) -> Section:
@@ -214,32 +214,6 @@ def section_of(gradient: Vector, centre: Vector, scale: Vector) -> Section:
         normal=_pseudo_inverse(gradient, sizes),
         drift=np.zeros((centre.size, 0)),
     )
-
-
-def section_along(
-    dynamics: HybridDynamics, line: Line, rows: tuple[int, ...], x: Vector, scale: Vector
-) -> Section:
-    """Return a chart around a state on a section that moves along a line of parameters.
-
-    Args:
-        dynamics: The system at ``p(s)``.
-        line: The line. Its ``s`` is the only parameter of the chart.
-        rows: Rows of the contact that vanish on the section.
-        x: The state, ``(n_x,)``.
-        scale: Size of each state, ``(n_x,)``.
-    """
-    slopes = conditions_gradient(dynamics, line.moving, rows, x)[:, x.size :] @ line.slopes
-    return _moving(section_around(dynamics, rows, x, scale), slopes[:, None])
-
-
-def _moving(section: Section, slopes: Vector) -> Section:
-    """Return a chart that moves with its section.
-
-    Args:
-        section: The chart at fixed parameters.
-        slopes: Derivatives of the conditions with respect to the parameters.
-    """
-    return replace(section, drift=-section.scale[:, None] * (section.normal @ slopes))
 
 
 def project_to_section(
