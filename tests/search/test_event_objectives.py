@@ -442,3 +442,23 @@ def test_the_default_section_of_a_sampled_machine_is_not_its_sample() -> None:
     found = zo.search_event_gains("sampled_pendulum", vary={}, objective=zo.MinEnergy(), until=25.0)
     assert found.orbit is not None
     assert found.value == pytest.approx(found.orbit.certificate["energies"]["input_work"], rel=1e-9)
+
+
+@pytest.mark.weekly
+@pytest.mark.slow
+def test_a_search_does_not_go_on_from_another_orbit_where_its_own_is_lost() -> None:
+    # At Kd = -0.725 motions settle to an orbit of seven times the period and four times the energy.
+    found = zo.search_event_gains(
+        "sampled_pendulum",
+        gains={"Kp": 2.5},
+        vary={"Kd": (-1.2, -0.1)},
+        objective=zo.MinEnergy(),
+        method=zo.SearchMethod.SHOOTING,
+        n_starts=0,
+        allow_unstable=True,
+    )
+    beside = zo.find_event_orbit("sampled_pendulum", gains={"Kp": 2.5, "Kd": -0.983})
+    assert beside.period == pytest.approx(1.872, rel=1e-9)
+    assert found.value < beside.certificate["energies"]["input_work"]
+    assert found.orbit is not None
+    assert found.orbit.period == pytest.approx(1.872, rel=1e-9)

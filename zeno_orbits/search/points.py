@@ -382,6 +382,13 @@ class OrbitsOverValues:
                 )
             except InputError as error:
                 raise StepError(str(error)) from error
+            if _returns(settled, section) != _returns(near, section):
+                # Another orbit would be followed from here on.
+                raise SimulationError(
+                    "The orbit is lost, and the motion settles to another one",
+                    time=settled.period,
+                    state=tuple(settled.start.tolist()),
+                ) from None
             found = self._closed(graph, settled, section, chosen)
         self.n_orbits += 1
         self._last[key] = found
@@ -394,7 +401,7 @@ class OrbitsOverValues:
             graph,
             near.start,
             section=section,
-            n_returns=sum(orbit_event_name(event) == section for event in near.events),
+            n_returns=_returns(near, section),
             guess=near.period,
             settings=self.simulation,
             parameters=chosen,
@@ -434,3 +441,8 @@ class OrbitsOverValues:
             by[k] = (found[1] - found[0]) / (ends[1] - ends[0])
         value = point.number(name)
         return Slope(value=max(value, LEAST_RADIUS) if name == RADIUS else value, by=by)
+
+
+def _returns(found: EventReturn, section: str) -> int:
+    """Return how often an orbit passes its section in a period."""
+    return sum(orbit_event_name(event) == section for event in found.events)
