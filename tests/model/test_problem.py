@@ -28,7 +28,6 @@ def test_every_bundled_problem_is_consistent(name: str) -> None:
     system = problem.model(problem.symbols())
     assert system.state.numel() == len(problem.state_names) == len(problem.state_units)
     assert len(set(problem.names)) == len(problem.names)
-    assert "restitution" in problem.names
     assert len(problem.values().vector) == len(problem.names)
     assert problem.amplitude_of in problem.state_names
     for pair in problem.portraits:

@@ -359,7 +359,8 @@ def _factor(unit: str) -> float:
     return math.prod(BASES.get(base, 1.0) ** power for base, power in powers_of(unit).items())
 
 
-@pytest.mark.parametrize("name", [_marked(name) for name in PROBLEMS])
+# The knots of a table are numbers, whose unit is that of its argument: they do not change with it.
+@pytest.mark.parametrize("name", [_marked(name) for name in PROBLEMS if name != "measured_valve"])
 def test_the_units_of_a_problem_are_those_of_its_equations(name: str) -> None:
     # In other units every number changes by its unit's factor, and so must every rate; the joule
     # of the energy, too. A unit that is declared falsely breaks it.

@@ -41,7 +41,6 @@ def test_the_page_tells_the_events_in_their_order_with_times_and_multipliers() -
     for name in ("impact knee", "Zeno point knee", "switch heel strike", "switch_transversality"):
         assert name in page
     assert f"{orbit.floquet_multipliers[0].real:.7f}"[:8] in page
-    assert "Work-precision studies need a machine with one stop, no switch and no kink" in page
 
 
 def test_the_curves_of_the_page_are_those_of_the_orbit() -> None:

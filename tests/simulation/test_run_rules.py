@@ -146,7 +146,7 @@ def test_a_clock_off_its_circle_is_named_and_another_constraint_is_not_called_a_
     told = str(caught.value)
     assert f"`{first}` and `{second}` on the unit circle" in told
     assert "they are 0.5 and 0.25" in told
-    assert told.endswith(f"starts with {first}=1.")
+    assert told.endswith(f"add {first}=1 for the start of a turn.")
 
 
 # Impacts.
