@@ -167,9 +167,3 @@ def test_a_symbol_is_no_number(symbol: Any) -> None:
 def test_a_cut_needs_a_speed(delta: float) -> None:
     with pytest.raises(zo.InputError, match="`delta` must be"):
         zo.Truncation(delta=delta)
-
-
-@pytest.mark.parametrize("door", [zo.find_orbit, zo.search_gains])
-def test_an_orbit_of_several_stops_is_refused_with_its_function(door: Any) -> None:
-    with pytest.raises(zo.InputError, match="use `find_orbit_by_shooting`"):
-        door("relay")
