@@ -231,13 +231,13 @@ def test_giving_up_is_an_answer_of_no(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", range(5))
 def test_an_example_of_the_help_runs(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_orbit(orbit_by_shooting(PENDULUM, PENDULUM.values()).unwrap(), tmp_path / "orbit.json")
     shown = examples("continue")
-    assert len(shown) == 4
+    assert len(shown) == 5
     answer = ask(*shown[number])
     assert answer.code == YES, answer.err
