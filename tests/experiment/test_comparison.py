@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
@@ -631,3 +632,15 @@ def test_a_contact_channel_must_agree_with_the_recorded_gap(
     found = compare_recording(orbit, problem, replace(plain, signals=(*plain.signals, contact)))
     assert found.agrees == (not why)
     assert any(why in reason for reason in found.reasons) == bool(why), found.reasons
+
+
+@pytest.mark.parametrize("until", [2.0, 3.4, 5.0])
+def test_a_motion_that_grows_towards_the_orbit_is_no_other_orbit(
+    orbit: Orbit, problem: Problem, until: float
+) -> None:
+    # Its impacts become 40 % faster from cycle to cycle, though the cycles look alike.
+    start = simulate(problem.dynamics(orbit.values(problem)), problem.initial_state(), until=until)
+    recording = zo.sample_execution(problem, start, noise=1e-3)
+    found = compare_recording(orbit, problem, recording)
+    assert found.verdict is ComparisonVerdict.UNDECIDED
+    assert any("has not settled" in reason for reason in found.unresolved)

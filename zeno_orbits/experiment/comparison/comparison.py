@@ -57,6 +57,9 @@ __all__ = ["Comparison", "ComparisonVerdict", "Metric", "compare_recording"]
 
 
 _FEWEST_CYCLES = 6
+_TOLD_CYCLES, _CHANGES = 3.0, 0.03
+"""Cycles that tell another orbit from a motion that has not settled, where every other cycle
+differs by less than this part of the signals. Else more are needed."""
 _FEWEST_SAMPLES = 6
 """Samples in a period below which a multiple of it may be found."""
 _STRAY = 0.1
@@ -276,8 +279,7 @@ def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Compariso
     deviation = (
         deviations(overlay.table, recording.time, overlay.values, overlay.where) if names else None
     )
-    if deviation is not None:
-        remarks += _settling(deviation, recording.time, overlay.where)
+    settling = [] if deviation is None else _settling(deviation, recording.time, overlay.where)
     compared = replace(
         begun,
         overlay=overlay,
@@ -289,8 +291,10 @@ def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Compariso
         remarks=tuple(remarks),
     )
     few = tuple(_few_samples(compared, overlay))
-    unseen = seen.unseen if compared.differences else ()
-    return replace(compared, unresolved=(*seen.unresolved, *unseen, *few))
+    if not compared.differences:
+        return replace(compared, unresolved=(*seen.unresolved, *few), remarks=(*remarks, *settling))
+    # Values of a mean over the first cycles are those of no orbit.
+    return replace(compared, unresolved=(*seen.unresolved, *seen.unseen, *few, *settling))
 
 
 def _missed(orbit: Orbit, time: Vector, channels: Mapping[str, Vector]) -> Iterator[str]:
@@ -314,6 +318,13 @@ def _few_samples(compared: Comparison, overlay: Overlay) -> Iterator[str]:
     if overlay.may_alternate:
         part = f"{100 * overlay.found.alternation:.2g} % of the signals"
         yield f"every other cycle differs by {part}, or is sampled at other phases"
+    cycles, changes = overlay.found.n_cycles, overlay.found.alternation > _CHANGES
+    least = _FEWEST_CYCLES if changes and not overlay.halves_differ else _TOLD_CYCLES
+    if compared.differences and cycles < least:
+        yield (
+            f"{cycles:.1f} cycles do not tell another orbit from a motion that has not settled: "
+            f"record {least:g} or more"
+        )
     n = len(compared.recording.time)
     if compared.signals and n < 2 * N_BINS and compared.differences:
         # Nearly every bin of the phase has one sample.

@@ -30,6 +30,8 @@ from zeno_orbits.orbits import Orbit
 
 _REPEATS = 0.4
 """Part of the variance that repeats in a record that shows an orbit, at least."""
+_PAIRS = 6.0
+"""Cycles that tell a doubled period from a motion that has not settled."""
 _LIKE = 0.6
 """Correlation of a signal with the orbit's, at least."""
 RELATED = 0.2
@@ -145,9 +147,12 @@ class Overlay:
         found = self.found
         reasons: list[str] = []
         if self.alternates and found.paired and not self.halves_differ:
+            doubled = f"the period is doubled, {2 * found.period:.6g} s"
+            if found.n_cycles < _PAIRS:
+                doubled = f"the motion has not settled, or {doubled}"
             reasons.append(
-                f"every other cycle differs by {100 * found.alternation:.2g} % of the signals: the "
-                f"period is doubled, {2 * found.period:.6g} s"
+                f"every other cycle differs by {100 * found.alternation:.2g} % of the signals: "
+                f"{doubled}"
             )
         unlike = any(one.differs and one.correlation < _LIKE for one in self.where.likeness)
         reasons += [
