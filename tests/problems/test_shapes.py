@@ -374,7 +374,12 @@ def test_the_file_of_another_shape_comes_back_and_hides_nothing(
     assert data["format"] == 3
     assert data["shape"] == orbit().shape.text
     path.write_text(json.dumps(old_data(orbit())), encoding="utf-8")
-    assert read_orbit(path) == orbit()
+    former = read_orbit(path)
+    *events, last = orbit().events
+    if last.name == "release stop":
+        # A former file holds the last release once, as the start of the period.
+        last = replace(last, state=orbit().start_state)
+    assert former == replace(orbit(), events=(*events, last))
 
 
 def test_what_needs_one_zeno_point_does_not_get_the_first_of_two() -> None:

@@ -29,6 +29,7 @@ from zeno_orbits.orbits import (
     event_return,
     event_sections,
     inverse_of_closing,
+    inverse_where_moved,
     kept_section,
     kind_of_events,
     largest_states,
@@ -123,9 +124,8 @@ def orbit_near(
         found = shortest_return(graph, found, settings)
         multipliers = multipliers_of_return(graph, found)
         chart, slope = _linear(graph, found)
-        missed = np.linalg.solve(
-            np.eye(len(slope)) - slope, chart.components(found.end - found.start)
-        )
+        off = chart.components(found.end - found.start)
+        missed = inverse_where_moved(np.eye(len(slope)) - slope) @ off
     except (SimulationError, np.linalg.LinAlgError):
         return None
     change = chart.lift @ missed

@@ -56,6 +56,7 @@ from .events.section import settles_at as settles_at
 from .events.section import shortest_return as shortest_return
 from .events.section import closed_return as closed_return
 from .events.section import inverse_of_closing as inverse_of_closing
+from .events.section import inverse_where_moved as inverse_where_moved
 from .events.section import event_return as event_return
 from .events.section import released_at_start as released_at_start
 from .events.section import event_sections as event_sections

@@ -83,7 +83,8 @@ class ReturnMap(TableRepr):
     """The return map of an orbit on the section of one of its events.
 
     Points are arrays of the values of `coordinates`. Gains and parameters are given by name, or as
-    arrays in the order of `gain_names` and `parameter_names`. Those left out are the orbit's.
+    arrays in the order of `gain_names` and `parameter_names`. Those left out are the orbit's. Two
+    maps are equal if they are of one orbit, section and accuracy, from which the rest is computed.
 
     Attributes:
         problem: The problem.
@@ -98,9 +99,9 @@ class ReturnMap(TableRepr):
     problem: Problem
     orbit: Orbit
     event: str
-    coordinates: tuple[str, ...]
-    fixed_point: Vector
-    period: float
+    coordinates: tuple[str, ...] = field(compare=False)
+    fixed_point: Vector = field(compare=False)
+    period: float = field(compare=False)
     simulation: SimulationSettings
     _return: EventReturn = field(repr=False, compare=False)
     _surface: Surface = field(repr=False, compare=False)

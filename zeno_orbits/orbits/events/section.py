@@ -65,6 +65,8 @@ _EXACT = 3e-14
 _MISSED = 1e-6
 """Largest relative change over an orbit. That of a correction to rounding is larger beside an orbit
 that repels strongly."""
+_NEUTRAL = 1e-12
+"""Distance of a multiplier from 1 that is rounding."""
 _ROUNDED = 1e-9
 """Relative correction below which Newton's method ends at a correction that is not smaller."""
 _DECAYED = 1e-6
@@ -797,8 +799,21 @@ def inverse_of_closing(graph: GraphDynamics, found: EventReturn) -> Vector:
     scale = largest_states(found.execution.arcs, graph)
     keeps = kept_section(graph, found.start, found.mode, scale).tangent
     matrix = (np.eye(len(scale)) - found.by_state) * scale[None, :] / scale[:, None]
-    inverse = keeps @ np.linalg.pinv(keeps.T @ matrix @ keeps, rcond=1e-12) @ keeps.T
+    inverse = keeps @ inverse_where_moved(keeps.T @ matrix @ keeps) @ keeps.T
     return np.asarray(inverse * scale[:, None] / scale[None, :], dtype=np.float64)
+
+
+def inverse_where_moved(matrix: Vector) -> Vector:
+    """Return the inverse of the identity minus a derivative, zero along neutral directions.
+
+    Multipliers have no unit, so one is near to 1 by itself, and not beside the others.
+
+    Args:
+        matrix: The identity minus the derivative, ``(d, d)``.
+    """
+    largest = float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
+    neutral = _NEUTRAL * max(1.0, largest) / (largest or 1.0)
+    return np.asarray(np.linalg.pinv(matrix, rcond=neutral), dtype=np.float64)
 
 
 def start_by_parameters(graph: GraphDynamics, found: EventReturn) -> Vector:
