@@ -69,6 +69,7 @@ def only(continuation_families: tuple[Family, ...]) -> Family:
     return family
 
 
+@pytest.mark.slow
 def test_the_forced_oscillator_loses_its_release_where_the_force_just_reaches_the_stop() -> None:
     # The stop lets go where A cos t < stop, which happens at all for A > 0.8 only.
     orbit = oscillator_orbit()

@@ -529,6 +529,7 @@ def test_the_period_of_a_recording_without_noise_is_exact(
     assert found.metric("restitution seen").data == pytest.approx(0.5, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_part_of_a_cycle_is_not_called_unsettled(
     forced: tuple[Problem, Orbit, OrbitTable],
 ) -> None:

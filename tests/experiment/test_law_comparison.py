@@ -78,6 +78,7 @@ def test_a_constant_restitution_needs_no_further_parameter(scatter: float) -> No
     assert one.low < 0.8 < one.high
 
 
+@pytest.mark.slow
 def test_command_and_function_agree() -> None:
     files = _recorded(lambda v: 0.8 - 0.06 * v, seed=8)[:1]
     words = ("identify", "bouncing_ball", *files, "--fit", "restitution", "--initial", "height")

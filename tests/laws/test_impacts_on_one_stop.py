@@ -150,6 +150,7 @@ def test_an_orbit_moves_with_a_parameter_as_its_differences_do(parameter: str) -
     assert moved == pytest.approx(slope, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_search_moves_the_stop_past_the_last_start() -> None:
     machine, parameters, state = _case(CASES[0])
 

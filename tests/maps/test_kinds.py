@@ -162,6 +162,7 @@ def test_a_motion_that_overflows_has_escaped(named: bool) -> None:
     assert (found.fate, found.escaped) == (AttractorClass.ESCAPE, "x")
 
 
+@pytest.mark.slow
 def test_arcs_that_all_end_on_their_stop_show_no_escape() -> None:
     # The limit never acts: this is the motor pendulum, whose second link stays on its side.
     limited = load_problem("limited_pendulum")

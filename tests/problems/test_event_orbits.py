@@ -20,6 +20,7 @@ WALKER_MULTIPLIERS = (0.3531363 + 0.552108j, 0.3531363 - 0.552108j, 0.1438697)
 """From a program that shares no code with this one, to seven digits."""
 
 
+@pytest.mark.slow
 def test_the_walker_with_plastic_knees_has_the_published_gait() -> None:
     orbit = event_orbit("kneed_walker", restitution=0.0)
     assert orbit.certificate["passed"]

@@ -242,6 +242,7 @@ def test_the_knee_of_the_torque_pendulum_lets_go_where_the_law_by_hand_vanishes(
     assert _pull(p, x["theta1"], torque, 0.0) == pytest.approx(0.0, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_the_knee_of_two_motors_lets_go_where_the_law_by_hand_vanishes() -> None:
     orbit = _orbit("two_motors")
     p, x = orbit.parameters, orbit.release_state

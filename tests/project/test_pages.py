@@ -65,7 +65,8 @@ LONG = {
     f"{name}.md"
     for name in (
         *("README", "accuracy", "examples", "families", "mapping", "measured_data", "no_orbit"),
-        *("export", "feedback", "gallery", "own_tests", "problems", "prove_an_orbit"),
+        *("export", "feedback", "gallery", "impact_laws", "own_tests", "problems"),
+        *("proof", "prove_an_orbit"),
         *("phone_recording", "pushes", "report", "scatter", "swing_down", "wrong_model"),
         *("rig", "scale", "searching", "several_stops"),
         *("stability", "tutorial", "tutorial_python", "what_a_proof_proves", "zeno_model"),

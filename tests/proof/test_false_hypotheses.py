@@ -341,6 +341,7 @@ def test_a_hand_made_certificate_needs_a_positive_mass(zeno: Certificate, factor
     assert "mass matrix" in _refusal(*_of(zeno, _mass(lambda m: factor * m)))
 
 
+@pytest.mark.slow
 def test_a_mass_that_vanishes_on_the_way_is_refused(zeno: Certificate) -> None:
     def thin(system: CompletedSystem) -> CompletedSystem:
         # Positive on the stop and negative far from it, where only flights lead.

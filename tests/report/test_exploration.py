@@ -56,6 +56,7 @@ def test_the_widget_follows_an_orbit_with_two_zeno_points_per_period() -> None:
         assert zo.verify(widget.attractor.orbit).passed
 
 
+@pytest.mark.slow
 def test_a_motion_that_dies_out_is_named_and_left_again(pendulum: Any) -> None:
     pendulum.values = {"Kp": 2.5, "Kd": 0.5}
     assert "decays" in pendulum.view["name"]
