@@ -67,8 +67,9 @@ def test_every_problem_goes_through_every_command(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "orbit.json"
-    assert main(["zeno-condition", name]) == 0
-    assert "d2h/dt2 = " in capsys.readouterr().out
+    # No formula names a table.
+    assert main(["zeno-condition", name]) == (2 if name == "measured_valve" else 0)
+    assert ("d2h/dt2 = " in capsys.readouterr().out) == (name != "measured_valve")
     run = ["--plot", str(tmp_path / "run.png"), "-o", str(tmp_path / "run.csv")]
     assert main(["simulate", name, "--until", "1", *run]) == 0
     found = main(["search", name, "-o", str(file)])
