@@ -159,6 +159,11 @@ def test_a_kink_that_lies_on_a_stop_is_no_kink() -> None:
     assert machine(-ca.fmax(q - d, 0)).graph is None
     assert machine(-ca.fmax(3 * (q - d), 0)).graph is None
     assert len(machine(-ca.fmax(q - 0.9 * d, 0)).graph.conditions) == 1
+    # Beside a narrow bump the condition is the gap, to the last digit.
+    for bump in (ca.exp(-((v / 0.09) ** 2)), 1 - ca.tanh(v / 0.01) ** 2, 1 / ca.cosh(q / 0.001)):
+        assert len(machine(ca.fmax(0.1 * bump - (d - q), 0)).graph.conditions) == 1
+    with pytest.raises(ValueError, match="jumps where the gap of a stop is zero"):
+        machine(ca.if_else(q < d, 0.0, 40.0))
 
 
 ROOTS: dict[str, tuple[Callable[[Any], Any], int]] = {

@@ -351,7 +351,14 @@ class Proof:
             lines.append(f"No set of initial states is proved beyond box 1: {self.no_basin}.")
         lines += ["", "Enclosures, for the fixed point of P:"]
         lines.append(f"  period      {self.bounds.period.text} s")
-        lines += [f"  Zeno point  {one.text} s" for one in self.bounds.zeno_times]
+        held = [one for one in self.events if one.startswith(("Zeno", "plastic"))]
+        names = [one.rpartition(" o")[0] for one in held] or ["Zeno point"] * len(
+            self.bounds.zeno_times
+        )
+        lines += [
+            f"  {name:11s} {one.text} s"
+            for name, one in zip(names, self.bounds.zeno_times, strict=True)
+        ]
         lines += [f"  {name:<11} {one.text}" for name, one in self.bounds.start_state.items()]
         if self.bounds.multipliers:
             lines.append(

@@ -54,6 +54,14 @@ _JUMPS = frozenset(
 _COMPARISONS = frozenset({ca.OP_LT, ca.OP_LE})
 _LARGEST = frozenset({ca.OP_FMIN, ca.OP_FMAX})
 _SIGNED = frozenset({ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN})
+_TOLD = frozenset(
+    {
+        *(ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_INV, ca.OP_SQ, ca.OP_TWICE),
+        *(ca.OP_CONSTPOW, ca.OP_SQRT, ca.OP_SIN, ca.OP_COS, ca.OP_TAN),
+    }
+)
+_HIGHEST = 8
+"""Operations, and the highest power, of formulas that are flat nowhere."""
 _KINKS = frozenset({*_COMPARISONS, *_LARGEST, *_SIGNED, ca.OP_ATAN2})
 """Operations with a condition."""
 _PARITIES = (Side.EVEN, Side.ODD)
@@ -204,14 +212,22 @@ class _Walk:
     def _product(self, one: _Value, other: _Value) -> _Value:
         return self.made(ca.OP_MUL, [one, other])
 
-    def side(self, condition: _Value, at_zero: bool = True) -> tuple[ca.SX, int | None]:
+    def side(
+        self, condition: _Value, at_zero: bool = True, *, jumps: bool = False
+    ) -> tuple[ca.SX, int | None]:
         """Return the side of a condition, 1 where it is positive, and keep a new condition.
+
+        Args:
+            condition: The condition.
+            at_zero: The side where it is zero on a whole branch.
+            jumps: Whether the value jumps where the condition is zero.
 
         Returns:
             The side, and the index of the condition, ``None`` for a condition that is decided.
 
         Raises:
-            ValueError: If the condition may change its sign at a pole.
+            ValueError: If the condition may change its sign at a pole, or the value jumps where the
+                gap of a stop is zero.
         """
         if condition.written.is_constant():
             value = float(condition.written)
@@ -223,6 +239,12 @@ class _Walk:
                 return 1 - self.side_of(k), k
         for gap in self.gaps:
             factor = _factor(condition.written, gap)
+            if factor != 0.0 and jumps:
+                raise ValueError(
+                    "Argument `model`: a formula jumps where the gap of a stop is zero, where "
+                    "contact keeps it: write a formula that is continuous there, as `fmax` is, or "
+                    "move the jump off the stop."
+                )
             if factor != 0.0:
                 return ca.SX(int(factor > 0.0)), None
         if _has_pole(condition.written, self.states, self.gaps):
@@ -249,9 +271,10 @@ class _Walk:
         last: _Value,
         *,
         at_zero: bool = True,
+        jumps: bool = False,
     ) -> _Value:
         """Return the first value where a condition is positive, and else the last one."""
-        side, k = self.side(condition, at_zero)
+        side, k = self.side(condition, at_zero, jumps=jumps)
         reads = [_chosen_reads(side, first.reads, last.reads), condition.reads]
         if k is not None and self.conditions[k].is_partial:
             reads.append({k: ca.SX(1)})
@@ -433,7 +456,7 @@ class _Walk:
         if operation == ca.OP_ATAN2:
             return self._angle(first, last, written)
         if operation == ca.OP_SIGN:
-            return self.chosen(first, written, one, minus_one)
+            return self.chosen(first, written, one, minus_one, jumps=True)
         if operation == ca.OP_COPYSIGN:
             size = self.on_branch(ca.OP_FABS, [first])
             if not last.varies:
@@ -444,7 +467,7 @@ class _Walk:
         difference = self.made(ca.OP_SUB, parts)
         if operation in _COMPARISONS:
             is_strict = operation == ca.OP_LT
-            return self.chosen(difference, written, zero, one, at_zero=is_strict)
+            return self.chosen(difference, written, zero, one, at_zero=is_strict, jumps=True)
         if operation == ca.OP_FMAX:
             return self.chosen(difference, written, first, last)
         return self.chosen(difference, written, last, first)
@@ -564,6 +587,9 @@ def _factor(formula: ca.SX, gap: ca.SX, lowest: float = 0.5) -> float:
         gap: The gap, or another formula.
         lowest: Least value of the symbols at which they are compared.
     """
+    by_form = _factor_by_form(formula, gap)
+    if by_form or not (_is_told_by_points(formula) and _is_told_by_points(gap)):
+        return by_form
     symbols = symbols_in(ca.vertcat(formula, gap))
     both: Any = ca.Function("both", symbols, [formula, gap])
     points = np.random.default_rng(0).uniform(lowest, 2.0, (_POINTS, len(symbols)))
@@ -573,6 +599,56 @@ def _factor(formula: ca.SX, gap: ca.SX, lowest: float = 0.5) -> float:
     factor = pairs[0][0] / pairs[0][1]
     least = _SAME * max(map(abs, chain(*pairs)))
     return factor if all(abs(one - factor * h) <= least for one, h in pairs) else 0.0
+
+
+def _factor_by_form(formula: ca.SX, gap: ca.SX) -> float:
+    """Return the number of which a formula is the product with a gap by its form, or zero."""
+    (one, size), (other, unit) = _without_numbers(formula), _without_numbers(gap)
+    if ca.is_equal(one, other, _DEPTH):
+        return size / unit
+    return -size / unit if ca.is_equal(one, -other, _DEPTH) else 0.0
+
+
+def _without_numbers(formula: Any) -> tuple[Any, float]:
+    """Return a formula without the numbers that multiply it, and their product."""
+    factor = 1.0
+    while True:
+        operation = formula.op()
+        parts = [formula.dep(k) for k in range(formula.n_dep())]
+        if operation == ca.OP_NEG:
+            formula, factor = parts[0], -factor
+        elif operation == ca.OP_TWICE:
+            formula, factor = parts[0], 2.0 * factor
+        elif operation == ca.OP_MUL and any(_is_number(one) for one in parts):
+            number, formula = sorted(parts, key=_is_number, reverse=True)
+            factor *= float(number)
+        elif operation == ca.OP_DIV and _is_number(parts[1]):
+            formula, factor = parts[0], factor / float(parts[1])
+        else:
+            return formula, factor
+
+
+def _is_number(formula: Any) -> bool:
+    return formula.is_constant() and math.isfinite(float(formula)) and float(formula) != 0.0
+
+
+def _is_told_by_points(formula: Any) -> bool:
+    """Return True if a formula that vanishes at points at random vanishes everywhere.
+
+    Other operations, such as ``exp(-u**2)``, may be flat in all digits except in a narrow range.
+    """
+    seen: set[int] = set()
+    waiting = [formula]
+    while waiting:
+        node = waiting.pop()
+        if node.is_leaf() or node.is_constant() or node.element_hash() in seen:
+            continue
+        seen.add(node.element_hash())
+        power = node.dep(1) if node.op() == ca.OP_CONSTPOW else None
+        if node.op() not in _TOLD or (power is not None and abs(float(power)) > _HIGHEST):
+            return False
+        waiting += [node.dep(k) for k in range(node.n_dep())]
+    return True
 
 
 def _result(operation: int, inputs: Sequence[ca.SX]) -> ca.SX:

@@ -364,24 +364,26 @@ def _met(machine: Machine, here: RecordPosition, record: Mapping[str, Any]) -> t
 def _told(
     machine: Machine, stations: Sequence[RecordPosition], records: Sequence[Any]
 ) -> tuple[str, ...]:
-    """Return the events of a motion in order, in words, without impacts before a Zeno point."""
+    """Return the events of a motion in order, in words.
+
+    Impacts on a stop just before its Zeno point belong to it. Impacts on other stops are listed.
+    """
     stops, switches = machine.names
-    words, first = list[str](), 0
+    words = list[str]()
     for place, record in zip(stations, records, strict=True):
         kind, stop = record["kind"], stops[place.view.stop]
         if kind == "impact":
             words.append(f"impact on {stop}")
-        if kind == "tail" or (kind == "impact" and machine.is_plastic(place.view)):
-            words[first if kind == "tail" else -1 :] = [
-                f"Zeno point of {stop}" if kind == "tail" else f"plastic impact on {stop}"
-            ]
+        if kind == "tail":
+            while words and words[-1] == f"impact on {stop}":
+                words.pop()
+            words.append(f"Zeno point of {stop}")
+        elif kind == "impact" and machine.is_plastic(place.view):
+            words[-1] = f"plastic impact on {stop}"
         elif kind == "switch":
             words.append(f"switch {switches[place.switch]}")
         elif place.met[0] == "release" and kind == "cross":
             words.append(f"release of {stop}")
-        else:
-            continue
-        first = len(words)
     return tuple(words)
 
 

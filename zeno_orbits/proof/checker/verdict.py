@@ -43,8 +43,8 @@ class Theorem:
         events: All events of a period in order, in words, for a machine with several stops,
             switches or kinks. Impacts that accumulate belong to their Zeno point.
         impacts: Number of individually proved impacts per period.
-        zeno_points: Number of Zeno points per period.
-        plastic: True if the restitution is zero. A single impact then starts contact.
+        zeno_points: Number of Zeno points and of plastic impacts that start contact, per period.
+        plastic: True if every contact starts with a single plastic impact.
         inside: True if the return map takes the first box into its interior, by the mean value
             form. Then it contracts the box (see `ProofVerdict.conclusions`).
         basin: Set of initial states of the section, empty without one.
@@ -85,9 +85,13 @@ class Theorem:
             f"{name} = (the double nearest to {self.parameters[name]!r}) +- {_exact(radius)}"
             for name, radius in self.over.items()
         ]
+        struck = sum(one.startswith("plastic ") for one in self.events)
         held = "plastic contact" if self.plastic else "Zeno point"
         impacts = f"{_counted(self.impacts, 'impact')} proved one by one"
         points = _counted(self.zeno_points, held)
+        if struck and not self.plastic:
+            points = f"{_counted(self.zeno_points - struck, held)}"
+            points += f", {_counted(struck, 'plastic contact')}"
         events = f"{impacts}, {points}, {_counted(self.releases, 'release')}"
         basin = "Set of initial states in the section"
         boxes = zip((self.box, *self.smaller), self.others, strict=True)

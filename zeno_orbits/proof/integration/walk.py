@@ -131,19 +131,23 @@ class ProofPassage:
 
     @property
     def told(self) -> tuple[str, ...]:
-        """The events in order, in words. Impacts that accumulate belong to their Zeno point."""
-        words, first = list[str](), 0
+        """The events in order, in words.
+
+        Impacts on a stop just before its Zeno point belong to it. Impacts on other stops are
+        listed.
+        """
+        words = list[str]()
         for event in self.events:
             if event.kind is PassageKind.IMPACT:
                 words.append(f"impact on {event.name}")
             elif event.kind is PassageKind.ZENO_POINT:
-                words[-1 if event.plastic else first :] = [self._held(event)]
+                while words and words[-1] == f"impact on {event.name}":
+                    words.pop()
+                words.append(self._held(event))
             elif event.kind is PassageKind.SWITCH:
                 words.append(f"switch {event.name}")
             else:
                 words.append(f"release of {event.name}")
-            if event.kind is not PassageKind.IMPACT:
-                first = len(words)
         return tuple(words)
 
     @staticmethod
