@@ -358,6 +358,7 @@ def test_every_example_of_the_help_runs(orbit_file: Path, orbit: Orbit, problem:
     }
     for name, one in made.items():
         Path(name).write_text(json.dumps(one.as_json()))
+    assert ask("simulate", "motor_pendulum", "--until", "40", "-o", "run.csv")[0] == YES
     shown = examples("report")
     assert len(shown) > 1
     pages: list[str] = []

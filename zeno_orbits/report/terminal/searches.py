@@ -104,7 +104,8 @@ def print_event_search(result: EventSearchResult) -> None:
     for bound in result.least_speeds:
         print_lines([f'--bounds "{bound.name}={bound.text}" keeps a least speed.'])
     numbers = _listed(result.free, 10)
-    reached = f": {result.value:.8g}" if result.is_measured else ""
+    value = result.value if result.mean is None else result.worst
+    reached = f": {value:.8g}" if result.is_measured else ""
     print_lines([f"Asked for {result.objective.wish}{reached}.", f"  {numbers}"])
     if result.told_push:
         print_lines([result.told_push])
