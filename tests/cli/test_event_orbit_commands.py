@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -235,6 +236,11 @@ def test_search_of_one_stop_takes_the_worst_case_of_the_energy() -> None:
     answer = ask(*words, "--objective", "energy", "--uncertain", "R=2.95:3.05")
     assert answer.code == YES
     assert "in the worst case for R = 2.95 to 3.05" in answer.out
+    asked = re.search(r"for R = 2.95 to 3.05: (\S+)\.\s", answer.out)
+    worst = re.search(r"Worst case: (\S+) at", answer.out)
+    assert asked is not None
+    assert worst is not None
+    assert asked[1] == worst[1]
     assert "Worst case: " in answer.out
 
 
