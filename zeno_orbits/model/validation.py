@@ -137,9 +137,11 @@ def require_states(
 def _forgotten(system: CompletedSystem, state_names: Sequence[str]) -> str:
     """Return the remedy if the formulas hold symbols that were to be states, or an empty text."""
     known = {system.state[k].element_hash() for k in range(system.state.numel())}
-    formulas: ca.SX = ca.veccat(*(getattr(system, name) for name in _FORMULAS))
+    formulas: list[ca.SX] = [getattr(system, name) for name in _FORMULAS]
     strangers = {
-        one.name() for one in _symbols_in(formulas) if one.element_hash() not in known
+        one.name()
+        for one in chain.from_iterable(map(_symbols_in, formulas))
+        if one.element_hash() not in known
     } & set(state_names)
     if not strangers:
         return ""
