@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zeno_orbits.api.inputs import Named, Numbers, any_orbit, front_door, known_problem, problem_of
+from zeno_orbits.errors import named_numbers, number_range
 from zeno_orbits.model import HeldLaw, Problem, recorded_problem, with_held_inputs
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import Progress, silent
@@ -126,7 +127,10 @@ def hold_inputs(
         InputError: If a name is unknown or taken, a range is empty, or a coefficient is missing.
     """
     law = HeldLaw(
-        inputs={one: ends or (-math.inf, math.inf) for one, ends in inputs.items()},
+        inputs={
+            one: number_range("inputs", ends or (-math.inf, math.inf), one)
+            for one, ends in named_numbers("inputs", inputs).items()
+        },
         at=at,
         gain=gain,
         centre=centre,

@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import casadi as ca
 
-from zeno_orbits.errors import InputError, did_you_mean, finite_number
+from zeno_orbits.errors import InputError, did_you_mean, finite_number, shown
 from zeno_orbits.model.drives.auxiliary import Auxiliary
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.drives.holds import KINDS, Hold
@@ -276,7 +276,7 @@ def _require_law(problem: Problem, law: HeldLaw) -> None:
     kind, _, name = law.at.partition(" ")
     if kind not in KINDS or not name:
         known = ", ".join(f"`{one} NAME`" for one in KINDS)
-        raise InputError(f"Argument `at` must be an event ({known}), but it is `{law.at}`.")
+        raise InputError(f"Argument `at` must be an event ({known}), but it is {shown(law.at)}.")
     for one, (low, high) in law.inputs.items():
         if one not in problem.names:
             raise InputError(unknown("inputs", one, problem.names))

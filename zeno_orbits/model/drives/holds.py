@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from zeno_orbits.errors import shown
 from zeno_orbits.model.drives.circuits import Drive, Held
 from zeno_orbits.model.expressions.operations import expand_calls
 from zeno_orbits.model.lagrangian import HybridLagrangian, require_symbols
@@ -50,7 +51,9 @@ class Hold:
         kind, _, name = self.at.partition(" ")
         if kind not in KINDS or not name:
             known = ", ".join(f"`{one} NAME`" for one in KINDS)
-            raise ValueError(f"Argument `at` must be an event ({known}), but it is `{self.at}`.")
+            raise ValueError(
+                f"Argument `at` must be an event ({known}), but it is {shown(self.at)}."
+            )
 
     def drive(self, mechanism: HybridLagrangian) -> Drive:
         """Return the states as a drive of a mechanism, without force and without powers.

@@ -220,14 +220,15 @@ class _Walk:
         Args:
             condition: The condition.
             at_zero: The side where it is zero on a whole branch.
-            jumps: Whether the value jumps where the condition is zero.
+            jumps: Whether the value jumps where the condition is zero. Contact keeps it zero, so it
+                must then have the side of an open stop there.
 
         Returns:
             The side, and the index of the condition, ``None`` for a condition that is decided.
 
         Raises:
-            ValueError: If the condition may change its sign at a pole, or the value jumps where the
-                gap of a stop is zero.
+            ValueError: If the condition may change its sign at a pole, or the value jumps where a
+                stop closes.
         """
         if condition.written.is_constant():
             value = float(condition.written)
@@ -239,7 +240,7 @@ class _Walk:
                 return 1 - self.side_of(k), k
         for gap in self.gaps:
             factor = _factor(condition.written, gap)
-            if factor != 0.0 and jumps:
+            if factor != 0.0 and jumps and (factor > 0.0) != at_zero:
                 raise ValueError(
                     "Argument `model`: a formula jumps where the gap of a stop is zero, where "
                     "contact keeps it: write a formula that is continuous there, as `fmax` is, or "
@@ -456,7 +457,7 @@ class _Walk:
         if operation == ca.OP_ATAN2:
             return self._angle(first, last, written)
         if operation == ca.OP_SIGN:
-            return self.chosen(first, written, one, minus_one, jumps=True)
+            return self.chosen(first, written, one, minus_one)
         if operation == ca.OP_COPYSIGN:
             size = self.on_branch(ca.OP_FABS, [first])
             if not last.varies:
