@@ -37,11 +37,12 @@ def remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Prove no record twice, and none after one that fails: a change concerns two of them."""
     prove, known = judged._proved, dict[str, list[Any]]()
 
-    def proved(system: Any, box: Any, tasks: Sequence[Any]) -> list[Any]:
+    def proved(machine: Any, box: Any, tasks: Sequence[Any]) -> list[Any]:
+        system = machine.first
         numbers = repr((system.constants, system.unit, system.stop, len(system.z), box))
         before = known.get(numbers, [])
         if not before:
-            found = prove(system, box, tasks)
+            found = prove(machine, box, tasks)
             known[numbers] = list(zip(tasks, found, strict=True))
             return found
         found: list[Any] = []
@@ -49,7 +50,7 @@ def remembered(monkeypatch: pytest.MonkeyPatch) -> None:
             # One record more or less moves those behind it by one.
             near = before[max(0, k - 1) : k + 2]
             same = [result for one, result in near if one == task]
-            found.append(same[0] if same else prove(system, box, [task])[0])
+            found.append(same[0] if same else prove(machine, box, [task])[0])
             if isinstance(found[-1], str):
                 break
         known.setdefault(numbers, list(zip(tasks, found, strict=False)))
