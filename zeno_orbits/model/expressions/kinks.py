@@ -18,12 +18,13 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.integrators.lookups import Lookup, Side, called, may_be_merged
+from zeno_orbits.model.expressions.identities import at_random_points, is_told_by_points
 from zeno_orbits.model.expressions.operations import operation_name, symbols_in
 
 _DEPTH = 32
 """Depth to which two conditions are compared."""
-_POINTS, _SAME = 4, 1e-13
-"""Random points at which two formulas are compared, and the relative rounding there."""
+_SAME = 1e-13
+"""Relative rounding at which two formulas are the same at random points."""
 
 _SMOOTH = frozenset(
     {
@@ -54,14 +55,6 @@ _JUMPS = frozenset(
 _COMPARISONS = frozenset({ca.OP_LT, ca.OP_LE})
 _LARGEST = frozenset({ca.OP_FMIN, ca.OP_FMAX})
 _SIGNED = frozenset({ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN})
-_TOLD = frozenset(
-    {
-        *(ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_INV, ca.OP_SQ, ca.OP_TWICE),
-        *(ca.OP_CONSTPOW, ca.OP_SQRT, ca.OP_SIN, ca.OP_COS, ca.OP_TAN),
-    }
-)
-_HIGHEST = 8
-"""Operations, and the highest power, of formulas that are flat nowhere."""
 _KINKS = frozenset({*_COMPARISONS, *_LARGEST, *_SIGNED, ca.OP_ATAN2})
 """Operations with a condition."""
 _PARITIES = (Side.EVEN, Side.ODD)
@@ -589,17 +582,14 @@ def _factor(formula: ca.SX, gap: ca.SX, lowest: float = 0.5) -> float:
         lowest: Least value of the symbols at which they are compared.
     """
     by_form = _factor_by_form(formula, gap)
-    if by_form or not (_is_told_by_points(formula) and _is_told_by_points(gap)):
+    if by_form or not is_told_by_points(formula, gap):
         return by_form
-    symbols = symbols_in(ca.vertcat(formula, gap))
-    both: Any = ca.Function("both", symbols, [formula, gap])
-    points = np.random.default_rng(0).uniform(lowest, 2.0, (_POINTS, len(symbols)))
-    pairs = [(float(one), float(h)) for one, h in map(both.call, points.tolist())]
-    if not all(map(math.isfinite, chain(*pairs))) or pairs[0][1] == 0.0:
+    values = at_random_points((formula, gap), lowest)
+    if not np.all(np.isfinite(values)) or values[0, 1] == 0.0:
         return 0.0
-    factor = pairs[0][0] / pairs[0][1]
-    least = _SAME * max(map(abs, chain(*pairs)))
-    return factor if all(abs(one - factor * h) <= least for one, h in pairs) else 0.0
+    factor = float(values[0, 0] / values[0, 1])
+    off = np.abs(values[:, 0] - factor * values[:, 1])
+    return factor if np.all(off <= _SAME * np.max(np.abs(values))) else 0.0
 
 
 def _factor_by_form(formula: ca.SX, gap: ca.SX) -> float:
@@ -631,25 +621,6 @@ def _without_numbers(formula: Any) -> tuple[Any, float]:
 
 def _is_number(formula: Any) -> bool:
     return formula.is_constant() and math.isfinite(float(formula)) and float(formula) != 0.0
-
-
-def _is_told_by_points(formula: Any) -> bool:
-    """Return True if a formula that vanishes at points at random vanishes everywhere.
-
-    Other operations, such as ``exp(-u**2)``, may be flat in all digits except in a narrow range.
-    """
-    seen: set[int] = set()
-    waiting = [formula]
-    while waiting:
-        node = waiting.pop()
-        if node.is_leaf() or node.is_constant() or node.element_hash() in seen:
-            continue
-        seen.add(node.element_hash())
-        power = node.dep(1) if node.op() == ca.OP_CONSTPOW else None
-        if node.op() not in _TOLD or (power is not None and abs(float(power)) > _HIGHEST):
-            return False
-        waiting += [node.dep(k) for k in range(node.n_dep())]
-    return True
 
 
 def _result(operation: int, inputs: Sequence[ca.SX]) -> ca.SX:
@@ -724,13 +695,9 @@ def _is_above(formula: ca.SX, gap: ca.SX, states: ca.SX) -> bool:
     factor: Any = by_formula[shared[0]] / by_gap[shared[0]]
     rest: Any = formula - factor * gap
     varied = ca.vertcat(ca.jacobian(rest, states).T, ca.jacobian(factor, states).T)
-    symbols = symbols_in(ca.vertcat(formula, gap))
-    found: Any = ca.Function("rest", symbols, [rest, factor, ca.norm_inf(varied)])
-    points = np.random.default_rng(0).uniform(0.5, 2.0, (_POINTS, len(symbols)))
-    values = [[float(one) for one in found(*point)] for point in points.tolist()]
-    return all(
-        left > 0.0 and scale > 0.0 and abs(slope) <= _SAME * (1.0 + abs(scale))
-        for left, scale, slope in values
+    left, scale, slope = at_random_points((rest, factor, ca.norm_inf(varied))).T
+    return bool(
+        np.all((left > 0.0) & (scale > 0.0) & (np.abs(slope) <= _SAME * (1.0 + np.abs(scale))))
     )
 
 

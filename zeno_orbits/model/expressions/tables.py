@@ -21,6 +21,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import shown
 from zeno_orbits.integrators.lookups import CellTable
+from zeno_orbits.model.expressions.identities import at_random_points, is_told_by_points
 from zeno_orbits.work import checked
 
 _KINDS, _OUTSIDE = ("linear", "cubic", "monotone"), ("refuse", "hold", "extend")
@@ -28,9 +29,9 @@ _LEAST = {"linear": 2, "cubic": 4, "monotone": 2}
 """Number of knots that a kind needs."""
 _MOST_PARAMETERS = 64
 """Number of values up to which they may be formulas of parameters."""
-_POINTS, _SAME, _COMPARED = 5, 1e-12, 50
-"""Points at which the shape of knots is compared, the relative rounding there, and the number of
-points along an argument at which a table of CasADi is compared."""
+_SAME, _COMPARED = 1e-12, 50
+"""Relative rounding of shapes of knots that are the same, and the number of points along an
+argument at which a table of CasADi is compared."""
 
 
 @checked
@@ -186,12 +187,9 @@ def _shape_of(knots: Sequence[ca.SX]) -> Vector:
     Raises:
         ValueError: If the places depend on parameters.
     """
-    every = ca.vertcat(*knots)
-    symbols = ca.symvar(every)
-    places: Any = ca.Function("places", symbols, [(every - knots[0]) / (knots[-1] - knots[0])])
-    points = np.random.default_rng(0).uniform(0.5, 2.0, (_POINTS, len(symbols)))
-    found = np.array([places(*point).full().ravel() for point in points.tolist()])
-    if not np.all(np.isfinite(found)) or np.any(np.abs(found - found[0]) > _SAME):
+    found = at_random_points([(one - knots[0]) / (knots[-1] - knots[0]) for one in knots])
+    is_one = np.all(np.isfinite(found)) and np.all(np.abs(found - found[0]) <= _SAME)
+    if not (is_one and is_told_by_points(*knots)):
         raise ValueError(
             "Argument `knots` of a table may hold parameters if all knots move and stretch "
             "together, such as `p * k` for every `k`: scale its argument instead."
