@@ -16,10 +16,10 @@ from typing import Any, cast
 
 import casadi as ca
 
-from zeno_orbits.errors import InputError, did_you_mean, finite_number, shown
+from zeno_orbits.errors import InputError, did_you_mean, finite_number
 from zeno_orbits.model.drives.auxiliary import Auxiliary
 from zeno_orbits.model.drives.circuits import Drive
-from zeno_orbits.model.drives.holds import KINDS, Hold
+from zeno_orbits.model.drives.holds import Hold, require_event
 from zeno_orbits.model.expressions.units import unit_quotient
 from zeno_orbits.model.graph import hybrid_system
 from zeno_orbits.model.hybrid import CompletedSystem
@@ -273,10 +273,7 @@ def _require_law(problem: Problem, law: HeldLaw) -> None:
     """
     if not law.inputs:
         raise InputError("Argument `inputs` must name at least one gain or parameter.")
-    kind, _, name = law.at.partition(" ")
-    if kind not in KINDS or not name:
-        known = ", ".join(f"`{one} NAME`" for one in KINDS)
-        raise InputError(f"Argument `at` must be an event ({known}), but it is {shown(law.at)}.")
+    require_event(law.at)
     for one, (low, high) in law.inputs.items():
         if one not in problem.names:
             raise InputError(unknown("inputs", one, problem.names))

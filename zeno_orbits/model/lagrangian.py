@@ -253,6 +253,21 @@ def require_symbols(name: str, states: ca.SX) -> None:
         seen.add(entry.element_hash())
 
 
+def require_separate(states: ca.SX, mechanism: HybridLagrangian) -> None:
+    """Refuse further states of which one belongs to the mechanism or its clock.
+
+    Args:
+        states: The states.
+        mechanism: The mechanism.
+    """
+    clock = ca.SX(0, 1) if mechanism.clock is None else mechanism.clock.state
+    own = {"a coordinate": mechanism.q, "a velocity": mechanism.v, "the clock": clock}
+    for what, symbols in own.items():
+        if symbols.numel() and ca.depends_on(states, symbols):
+            wanted = f"must hold separate symbols, but one is {what} of the mechanism"
+            raise ValueError(f"Argument `states` {wanted}.")
+
+
 def require_scalar(name: str, formula: ca.SX) -> None:
     """Refuse a matrix in place of one formula.
 

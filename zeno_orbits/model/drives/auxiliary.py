@@ -11,7 +11,7 @@ from zeno_orbits.model.drives.circuits import Circuit, Drive
 from zeno_orbits.model.drives.holds import Hold
 from zeno_orbits.model.drives.motors import MotorBank
 from zeno_orbits.model.expressions.operations import expand_calls
-from zeno_orbits.model.lagrangian import HybridLagrangian, require_symbols
+from zeno_orbits.model.lagrangian import HybridLagrangian, require_separate, require_symbols
 from zeno_orbits.work import require_kinds
 
 
@@ -76,12 +76,7 @@ class Auxiliary:
                 number of entries than the coordinates.
         """
         n_q = mechanism.q.numel()
-        clock = ca.SX(0, 1) if mechanism.clock is None else mechanism.clock.state
-        own = {"a coordinate": mechanism.q, "a velocity": mechanism.v, "the clock": clock}
-        for what, symbols in own.items():
-            if symbols.numel() and ca.depends_on(self.states, symbols):
-                wanted = f"must hold separate symbols, but one is {what} of the mechanism"
-                raise ValueError(f"Argument `states` {wanted}.")
+        require_separate(self.states, mechanism)
         force = ca.SX.zeros(n_q) if self.force is None else ca.vec(ca.SX(self.force))
         if force.numel() != n_q:
             raise ValueError(

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.errors import shown
+from zeno_orbits.errors import InputError, shown
 from zeno_orbits.model.drives.circuits import Drive, Held
 from zeno_orbits.model.expressions.operations import expand_calls
-from zeno_orbits.model.lagrangian import HybridLagrangian, require_symbols
+from zeno_orbits.model.lagrangian import HybridLagrangian, require_separate, require_symbols
 from zeno_orbits.work import require_kinds
 
 KINDS = ("impact", "zeno", "release", "switch")
@@ -48,12 +48,7 @@ class Hold:
         if self.after.numel() != n_u:
             wanted = f"must have {n_u} entries, one per state, but it has {self.after.numel()}"
             raise ValueError(f"Argument `after` {wanted}.")
-        kind, _, name = self.at.partition(" ")
-        if kind not in KINDS or not name:
-            known = ", ".join(f"`{one} NAME`" for one in KINDS)
-            raise ValueError(
-                f"Argument `at` must be an event ({known}), but it is {shown(self.at)}."
-            )
+        require_event(self.at)
 
     def drive(self, mechanism: HybridLagrangian) -> Drive:
         """Return the states as a drive of a mechanism, without force and without powers.
@@ -65,12 +60,7 @@ class Hold:
             ValueError: If a state is one of the mechanism or its clock.
         """
         n_q, zero = mechanism.q.numel(), ca.SX(0)
-        clock = ca.SX(0, 1) if mechanism.clock is None else mechanism.clock.state
-        own = {"a coordinate": mechanism.q, "a velocity": mechanism.v, "the clock": clock}
-        for what, symbols in own.items():
-            if symbols.numel() and ca.depends_on(self.states, symbols):
-                wanted = f"must hold separate symbols, but one is {what} of the mechanism"
-                raise ValueError(f"Argument `states` {wanted}.")
+        require_separate(self.states, mechanism)
         states, after = ca.vec(self.states), ca.vec(self.after)
         return Drive(
             states=states,
@@ -87,3 +77,18 @@ class Hold:
             entries=(("after", after),),
             holds=(Held(states=states, at=self.at, after=after),),
         )
+
+
+def require_event(at: str) -> None:
+    """Refuse a text that names no event at which states may be set.
+
+    Args:
+        at: The text.
+
+    Raises:
+        InputError: If it names none.
+    """
+    kind, _, name = at.partition(" ")
+    if kind not in KINDS or not name:
+        known = ", ".join(f"`{one} NAME`" for one in KINDS)
+        raise InputError(f"Argument `at` must be an event ({known}), but it is {shown(at)}.")
