@@ -176,7 +176,7 @@ def _held_point(
             radius = max(map(abs, feedback.multipliers), default=0.0)
         else:
             reason = "The motion from the state of the family leads to another orbit."
-    except (ZenoOrbitsError, InputError) as error:
+    except ZenoOrbitsError as error:
         reason = str(error)
     return HeldPoint(
         value=point.value,

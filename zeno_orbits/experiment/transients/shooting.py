@@ -29,7 +29,7 @@ from zeno_orbits.experiment.transients.motion import (
 )
 from zeno_orbits.experiment.transients.trial import OFFSET, FreeStart, TrialData
 from zeno_orbits.model import GraphDynamics, Problem
-from zeno_orbits.simulation import EventKind, Impact
+from zeno_orbits.simulation import EventKind
 
 _PAST = 0.25
 """Part of a trial that the simulation of event times goes on beyond it."""
@@ -100,13 +100,6 @@ class Shooting:
     def slopes(self, z: Vector) -> Vector:
         """Return the derivatives of the values with respect to their own unknown, ``(k,)``."""
         return np.where(self.is_log, self.values(z), self.unknowns.scale)
-
-    def unknown_of(self, k: int, value: float) -> float:
-        """Return the unknown at a value of a shared unknown."""
-        start = float(self.unknowns.start[k])
-        if self.is_log[k]:
-            return float(np.log(value / start))
-        return (value - start) / float(self.unknowns.scale[k])
 
     def columns(self, trial: int) -> slice:
         """Return the range of the free initial values of a trial among the unknowns."""
@@ -424,8 +417,3 @@ def placed(found: Sequence[int | None], model: MotionTimes, end: float) -> tuple
     times = [end if k is None else float(model.times[k]) for k in found]
     rows = [np.zeros(m) if k is None else model.by[k] for k in found]
     return np.array(times), np.array(rows).reshape(len(found), m)
-
-
-def impacts_until(motion: TransientMotion, time: float) -> tuple[Impact, ...]:
-    """Return the impacts of a motion up to a time."""
-    return tuple(one for one in motion.execution.impacts if one.time <= time)
