@@ -11,16 +11,13 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import MISUSE, YES, ask
+from tests.support.repelling import KD, repelling_orbit
 from zeno_orbits.errors import InputError
-
-KD = -1.579094074075361
-START = {"theta1": 0.361422331844671, "dtheta1": -5.874916190354418, "current": -3.333635846498841}
 
 
 @pytest.fixture(scope="module")
 def repelling() -> zo.Orbit:
-    gains = {"Kp": 2.5, "Kd": KD}
-    return zo.find_orbit_by_shooting("motor_pendulum", gains=gains, start=START).unwrap()
+    return repelling_orbit()
 
 
 @pytest.fixture(scope="module")

@@ -37,6 +37,12 @@ def oscillator(record: zo.Record) -> zo.Problem:
     """Return an oscillator under a record, far from its stop."""
     turns = record.period is not None
     clock = zo.Clock.at(ca.SX(record.frequency)) if turns else zo.Time()
+    return under(record.at(clock), clock)
+
+
+def under(force: ca.SX, clock: zo.Clock | zo.Time, name: str = "oscillator") -> zo.Problem:
+    """Return an oscillator under a force over time, far from its stop."""
+    turns = isinstance(clock, zo.Clock)
 
     def model(p: Any) -> zo.CompletedSystem:
         x, v = ca.SX.sym("x"), ca.SX.sym("v")
@@ -46,15 +52,15 @@ def oscillator(record: zo.Record) -> zo.Problem:
             kinetic=v**2 / 2,
             potential=x**2 / 2,
             passive_force=-C * v,
-            applied_force=record.at(clock),
+            applied_force=force,
             clock=clock,
             gap=x + 100,
         )
         return zo.hybrid_system(one, zo.no_drive(one), p["restitution"], switches=())
 
     return zo.Problem(
-        name="oscillator",
-        title="oscillator under a record",
+        name=name,
+        title="oscillator under a force",
         source="tests/laws/test_records.py",
         state_names=("x", "v", *(("cosine", "sine") if turns else ("t",))),
         state_units=("m", "m/s", *(("1", "1") if turns else ("s",))),
@@ -189,35 +195,7 @@ def test_a_step_a_pulse_and_a_ramp_happen_once() -> None:
     t = clock.state
     pulse = ca.if_else(t > 0.5, 1.0, 0.0) - ca.if_else(t > 0.9, 1.0, 0.0)
     ramp = ca.fmax(0.0, ca.fmin(1.0, (t - 2.0) / 0.7))
-
-    def model(p: Any) -> zo.CompletedSystem:
-        x, v = ca.SX.sym("x"), ca.SX.sym("v")
-        one = zo.HybridLagrangian.from_energies(
-            q=x,
-            v=v,
-            kinetic=v**2 / 2,
-            potential=x**2 / 2,
-            passive_force=-C * v,
-            applied_force=3 * pulse + ramp,
-            clock=clock,
-            gap=x + 100,
-        )
-        return zo.hybrid_system(one, zo.no_drive(one), p["restitution"])
-
-    shape = oscillator(zo.record([0.0, 1.0], [0.0, 0.0]))
-    problem = zo.Problem(
-        name="once",
-        title="oscillator that is pushed once",
-        source="tests/laws/test_records.py",
-        state_names=shape.state_names,
-        state_units=shape.state_units,
-        parameters=shape.parameters,
-        gains=(),
-        model=model,
-        starts=({},),
-        portraits=(("x", "v"),),
-        amplitude_of="x",
-    )
+    problem = under(3 * pulse + ramp, clock, "once")
     run = zo.simulate(problem, until=5.0)
     # A step is a line that rises within no time: its two ends are one instant to rounding.
     marks = [0.0, 0.5, 0.5 + 1e-13, 0.9, 0.9 + 1e-13, 2.0, 2.7, 5.0]

@@ -12,10 +12,9 @@ import pytest
 import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.commands import MISUSE, YES, ask
+from tests.support.repelling import KD, repelling_orbit
 from zeno_orbits.errors import InputError
 
-KD = -1.579094074075361
-START = {"theta1": 0.361422331844671, "dtheta1": -5.874916190354418, "current": -3.333635846498841}
 MU = 2.910917734
 """The multiplier of the reference pendulum at this gain, with 12 digits by other programs."""
 
@@ -29,8 +28,7 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture(scope="module")
 def repelling() -> zo.Orbit:
-    gains = {"Kp": 2.5, "Kd": KD}
-    return zo.find_orbit_by_shooting("motor_pendulum", gains=gains, start=START).unwrap()
+    return repelling_orbit()
 
 
 def _away(found: zo.Feedback, motion: zo.HeldMotion) -> Any:

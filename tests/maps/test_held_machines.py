@@ -11,10 +11,9 @@ import pytest
 import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.commands import MISUSE, NO, YES, ask
+from tests.support.repelling import KD, START, repelling_orbit
 from zeno_orbits.errors import InputError
 
-KD = -1.579094074075361
-START = {"theta1": 0.361422331844671, "dtheta1": -5.874916190354418, "current": -3.333635846498841}
 RANGE = {"Kd": (-1.83, -1.33)}
 
 
@@ -27,8 +26,7 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture(scope="module")
 def repelling() -> zo.Orbit:
-    gains = {"Kp": 2.5, "Kd": KD}
-    return zo.find_orbit_by_shooting("motor_pendulum", gains=gains, start=START).unwrap()
+    return repelling_orbit()
 
 
 MACHINES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
