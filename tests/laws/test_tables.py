@@ -351,18 +351,19 @@ def test_derivatives_through_knots_are_differences_and_shrink_areas() -> None:
 
 @pytest.mark.slow
 def test_ten_thousand_knots_cost_no_more_than_ten() -> None:
-    def spent(n: int) -> float:
-        problem = mass(lambda x, _: zo.table(x, *wavy(n), "cubic", outside="extend"))
-        run = partial(zo.simulate, problem, until=1.5)
-        run()
-        times: list[float] = []
-        for _ in range(40):
-            begin = time.process_time()
-            run()
-            times.append(time.process_time() - begin)
-        return min(times)
-
-    assert spent(10_000) <= 1.5 * spent(10)
+    runs: list[Callable[[], Any]] = []
+    for n in (10, 10_000):
+        problem = mass(lambda x, _, n=n: zo.table(x, *wavy(n), "cubic", outside="extend"))
+        runs.append(partial(zo.simulate, problem, until=1.5))
+        runs[-1]()
+    times: list[list[float]] = [[], []]
+    # In turns: the load of the machine changes.
+    for k in range(200):
+        begin = time.process_time()
+        runs[k % 2]()
+        times[k % 2].append(time.process_time() - begin)
+    few, many = map(min, times)
+    assert many <= 1.5 * few
 
 
 # Refusals.
