@@ -88,6 +88,16 @@ def test_results_are_equal_to_their_copies(
     assert replace(plane, until=plane.until + 1.0) != plane
 
 
+def test_maps_of_one_file_that_was_read_twice_are_equal(tmp_path: Path) -> None:
+    path = tmp_path / "vibrating_table.py"
+    path.write_bytes(zo.bundled_problems()["vibrating_table"].read_bytes())
+    found = zo.find_orbit(zo.load_problem(path)).unwrap()
+    first, second = (zo.return_map(found, problem=zo.load_problem(path)) for _ in range(2))
+    assert first.problem is not second.problem
+    assert first == second
+    assert replace(second, problem=zo.load_problem("vibrating_table")) != first
+
+
 def test_runs_and_recordings_of_a_machine_are_compared_by_their_numbers() -> None:
     problem = zo.load_problem("motor_pendulum")
     run = zo.simulate_rig(problem, until=0.4)
