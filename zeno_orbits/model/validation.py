@@ -8,7 +8,7 @@ them.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, did_you_mean, shortened
 from zeno_orbits.model.domains import named_formulas, require_finite, require_rising_gap
+from zeno_orbits.model.expressions.operations import symbols_in
 from zeno_orbits.model.expressions.units import ELECTRICAL, is_electrical_unit, is_rate_of
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.mistakes import NotSymbolicError, holds_nan
@@ -137,11 +138,8 @@ def require_states(
 def _forgotten(system: CompletedSystem, state_names: Sequence[str]) -> str:
     """Return the remedy if the formulas hold symbols that were to be states, or an empty text."""
     known = {system.state[k].element_hash() for k in range(system.state.numel())}
-    formulas: list[ca.SX] = [getattr(system, name) for name in _FORMULAS]
     strangers = {
-        one.name()
-        for one in chain.from_iterable(map(_symbols_in, formulas))
-        if one.element_hash() not in known
+        one.name() for one in _symbols_of(system) if one.element_hash() not in known
     } & set(state_names)
     if not strangers:
         return ""
@@ -157,14 +155,13 @@ def require_known_symbols(system: CompletedSystem, symbols: Mapping[str, ca.SX])
     known = ca.vertcat(system.state, *symbols.values())
     known_ones = {known[k].element_hash() for k in range(known.numel())}
     for name, entry in system.drive.entries:
-        for symbol in _symbols_in(entry):
+        for symbol in symbols_in(entry):
             if symbol.element_hash() not in known_ones:
                 raise ValueError(
                     f"Argument `{name}` must use states, gains and parameters only, "
                     f"but it holds another symbol, `{symbol.name()}`."
                 )
-    formulas: list[ca.SX] = [getattr(system, name) for name in _FORMULAS]
-    for symbol in chain.from_iterable(map(_symbols_in, formulas)):
+    for symbol in _symbols_of(system):
         if symbol.element_hash() in known_ones:
             continue
         name = symbol.name()
@@ -190,8 +187,7 @@ def unused_symbols(
         symbols: Gains and parameters by name.
         outputs: Expressions in addition to the system's own expressions.
     """
-    formulas = [*(getattr(system, formula) for formula in _FORMULAS), *outputs]
-    used = {symbol.element_hash() for symbol in _symbols_in(ca.veccat(*formulas))}
+    used = {symbol.element_hash() for symbol in _symbols_of(system, outputs)}
     return tuple(name for name, symbol in symbols.items() if symbol.element_hash() not in used)
 
 
@@ -357,8 +353,10 @@ def _require_lossy(name: str, matrix: Vector, where: str) -> None:
         )
 
 
-def _symbols_in(expression: ca.SX) -> list[ca.SX]:
-    return ca.symvar(expression)
+def _symbols_of(system: CompletedSystem, outputs: Sequence[ca.SX] = ()) -> Iterator[ca.SX]:
+    """Return the symbols of the formulas of a system and of further ones, some of them repeated."""
+    formulas: list[ca.SX] = [*(getattr(system, name) for name in _FORMULAS), *outputs]
+    return chain.from_iterable(map(symbols_in, formulas))
 
 
 def _function(system: CompletedSystem, symbols: Mapping[str, ca.SX], outputs: list[ca.SX]) -> Any:
