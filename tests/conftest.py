@@ -12,6 +12,7 @@ import pytest
 from hypothesis import settings
 
 from tests.support.processes import Commands
+from tests.support.repelling import repelling_orbit
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import SearchResult, orbit_at_gains
@@ -66,6 +67,12 @@ def machine(orbit: Orbit, problem: Problem) -> HybridDynamics:
 def certificate(orbit: Orbit, problem: Problem) -> OrbitCertificate:
     """The certificate of the orbit at the published gains."""
     return verify(orbit, problem)
+
+
+@pytest.fixture(scope="session")
+def repelling() -> Orbit:
+    """The repelling orbit that a feedback once per period keeps."""
+    return repelling_orbit()
 
 
 @pytest.fixture(autouse=True)

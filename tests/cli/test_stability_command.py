@@ -16,15 +16,6 @@ from zeno_orbits.report.terminal import print_stability
 
 pytestmark = pytest.mark.usefixtures("here")
 
-UNSTABLE: dict[str, Any] = {
-    "gains": {"Kp": 2.5, "Kd": -1.579094074075361},
-    "start": {
-        "theta1": 0.361422331844671,
-        "dtheta1": -5.874916190354418,
-        "current": -3.333635846498841,
-    },
-}
-
 
 def _file(problem: str, **how: Any) -> str:
     """Write the orbit of a problem and return the name of its file."""
@@ -80,8 +71,9 @@ def test_a_complex_pair_turns() -> None:
     assert "The disturbance turns once in 2.006 periods." in answer.out
 
 
-def test_an_unstable_orbit_doubles_and_is_a_no() -> None:
-    answer = ask("stability", _file("motor_pendulum", **UNSTABLE))
+def test_an_unstable_orbit_doubles_and_is_a_no(repelling: zo.Orbit) -> None:
+    zo.write_orbit(repelling, "orbit.json")
+    answer = ask("stability", "orbit.json")
     assert answer.code == NO
     assert answer.out.startswith("Orbit of motor_pendulum: unstable, spectral radius 2.91092")
     # ln 2 / ln 2.910917734.

@@ -11,13 +11,8 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import MISUSE, YES, ask
-from tests.support.repelling import KD, repelling_orbit
+from tests.support.repelling import KD
 from zeno_orbits.errors import InputError
-
-
-@pytest.fixture(scope="module")
-def repelling() -> zo.Orbit:
-    return repelling_orbit()
 
 
 @pytest.fixture(scope="module")

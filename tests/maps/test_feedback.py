@@ -12,7 +12,7 @@ import pytest
 import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.commands import MISUSE, YES, ask
-from tests.support.repelling import KD, repelling_orbit
+from tests.support.repelling import KD
 from zeno_orbits.errors import InputError
 
 MU = 2.910917734
@@ -24,11 +24,6 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-@pytest.fixture(scope="module")
-def repelling() -> zo.Orbit:
-    return repelling_orbit()
 
 
 def _away(found: zo.Feedback, motion: zo.HeldMotion) -> Any:

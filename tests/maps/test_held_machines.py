@@ -11,7 +11,7 @@ import pytest
 import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.commands import MISUSE, NO, YES, ask
-from tests.support.repelling import KD, START, repelling_orbit
+from tests.support.repelling import GAINS, KD, START
 from zeno_orbits.errors import InputError
 
 RANGE = {"Kd": (-1.83, -1.33)}
@@ -22,11 +22,6 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-@pytest.fixture(scope="module")
-def repelling() -> zo.Orbit:
-    return repelling_orbit()
 
 
 MACHINES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
@@ -89,7 +84,7 @@ def test_a_repelling_orbit_is_held_for_a_thousand_periods(repelling: zo.Orbit) -
     assert np.max(np.abs(values[40:] - centre)) < 1e-11
     free = zo.simulate(
         "motor_pendulum",
-        gains={"Kp": 2.5, "Kd": KD},
+        gains=GAINS,
         start={**START, "dtheta1": 1.001 * START["dtheta1"]},
         until=20.0,
     )
@@ -132,7 +127,7 @@ def test_the_rig_holds_the_orbit_and_without_feedback_leaves_it(repelling: zo.Or
     held = [one.end_state[machine.state_names.index("held_Kd")] for one in rested]
     assert held[-1] == pytest.approx(KD, abs=1e-3)
     with pytest.raises(zo.SimulationError, match="ran away"):
-        zo.simulate_rig("motor_pendulum", rig, gains={"Kp": 2.5, "Kd": KD}, start=START, until=42.0)
+        zo.simulate_rig("motor_pendulum", rig, gains=GAINS, start=START, until=42.0)
 
 
 @pytest.mark.parametrize(
