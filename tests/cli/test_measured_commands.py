@@ -62,7 +62,7 @@ def test_the_examples_of_compare_run(folder: Path) -> None:
             data = json.loads(answer.out)
     assert (folder / "compared.png").stat().st_size > 50_000
     assert (folder / "drop.png").stat().st_size > 20_000
-    # From 5 s on the motion still settles a little.
+    # From 12 s on the motion still settles a little.
     assert data["metrics"]["period"]["data"] == pytest.approx(1.81371293904, abs=3e-3)
 
 

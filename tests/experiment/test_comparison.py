@@ -287,6 +287,7 @@ def test_a_start_that_still_settles_is_named(
     recording = recording_of(problem, problem.state_names, time, states.T)
     found = compare_recording(orbit, problem, recording)
     assert any("still settling" in remark and "--t-start" in remark for remark in found.remarks)
+    assert found.verdict is ComparisonVerdict.UNDECIDED
 
 
 def test_signals_of_another_kind_are_refused(orbit: Orbit, problem: Problem) -> None:

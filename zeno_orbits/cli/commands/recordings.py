@@ -126,8 +126,8 @@ def add_compare(commands: Any) -> None:
         "shows it or one of the machine with other values, 1 if it does not or cannot decide; with "
         "a problem, compare transients impact by impact, exit code 1 if structure is left",
         [
-            "zeno-orbits compare orbit.json data.csv --t-start 5 --plot compared.png",
-            "zeno-orbits compare orbit.json data.csv --t-start 5 --json",
+            "zeno-orbits compare orbit.json data.csv --t-start 12 --plot compared.png",
+            "zeno-orbits compare orbit.json data.csv --t-start 12 --json",
             "zeno-orbits compare bouncing_ball drop.csv --set restitution=0.8 --plot drop.png",
         ],
     )

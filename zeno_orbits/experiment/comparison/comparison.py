@@ -254,8 +254,8 @@ def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Compariso
         reason += "record a motion of several periods"
         return replace(begun, reasons=(reason,), remarks=tuple(remarks))
     found, reasons = overlay.found, overlay.reasons()
-    if found.n_cycles < 3.0:
-        remarks.append(f"only {found.n_cycles:.1f} cycles were recorded: errors are rough")
+    if overlay.n_cycles < _TOLD_CYCLES:
+        remarks.append(f"only {overlay.n_cycles:.1f} cycles were recorded: errors are rough")
     if not overlay.holds:
         # Numbers of signals that are mistaken for others would mislead.
         said, why = tuple(remarks), tuple(reasons)
@@ -280,6 +280,7 @@ def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Compariso
         deviations(overlay.table, recording.time, overlay.values, overlay.where) if names else None
     )
     settling = [] if deviation is None else _settling(deviation, recording.time, overlay.where)
+    remarks += settling
     compared = replace(
         begun,
         overlay=overlay,
@@ -290,11 +291,13 @@ def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Compariso
         unresolved=seen.unresolved,
         remarks=tuple(remarks),
     )
-    few = tuple(_few_samples(compared, overlay))
-    if not compared.differences:
-        return replace(compared, unresolved=(*seen.unresolved, *few), remarks=(*remarks, *settling))
-    # Values of a mean over the first cycles are those of no orbit.
-    return replace(compared, unresolved=(*seen.unresolved, *seen.unseen, *few, *settling))
+    doubts = [*seen.unresolved, *_few_samples(compared, overlay)]
+    if compared.differences:
+        doubts += seen.unseen
+        if settling:
+            # Values of a mean over the first cycles are those of no orbit.
+            doubts.append("the first cycles are farther from the mean than the others are")
+    return replace(compared, unresolved=tuple(doubts))
 
 
 def _missed(orbit: Orbit, time: Vector, channels: Mapping[str, Vector]) -> Iterator[str]:
@@ -318,7 +321,7 @@ def _few_samples(compared: Comparison, overlay: Overlay) -> Iterator[str]:
     if overlay.may_alternate:
         part = f"{100 * overlay.found.alternation:.2g} % of the signals"
         yield f"every other cycle differs by {part}, or is sampled at other phases"
-    cycles, changes = overlay.found.n_cycles, overlay.found.alternation > _CHANGES
+    cycles, changes = overlay.n_cycles, overlay.found.alternation > _CHANGES
     least = _FEWEST_CYCLES if changes and not overlay.halves_differ else _TOLD_CYCLES
     if compared.differences and cycles < least:
         yield (

@@ -90,6 +90,11 @@ class Overlay:
         return self.found.repeats >= _REPEATS or (not self.names and self.seen.repeats)
 
     @property
+    def n_cycles(self) -> float:
+        """Periods that the recording covers, to a tenth: three whole ones may be 2.9999."""
+        return round(self.found.n_cycles, 1)
+
+    @property
     def alternates(self) -> bool:
         """True if the samples of every other period differ."""
         size, noise = self.found.alternation, self.found.alternation_noise
@@ -148,7 +153,7 @@ class Overlay:
         reasons: list[str] = []
         if self.alternates and found.paired and not self.halves_differ:
             doubled = f"the period is doubled, {2 * found.period:.6g} s"
-            if found.n_cycles < _PAIRS:
+            if self.n_cycles < _PAIRS:
                 doubled = f"the motion has not settled, or {doubled}"
             reasons.append(
                 f"every other cycle differs by {100 * found.alternation:.2g} % of the signals: "
