@@ -25,7 +25,7 @@ from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.binding import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.orbits import EventReturn
 from zeno_orbits.precision.reduced_models import (
     CORRECTED,
     LANDMARKS,
@@ -81,12 +81,12 @@ def manifold_only(problem: Problem) -> Problem:
     return replace(corrected, model=model)
 
 
-def timed(dynamics: HybridDynamics, cycle: Cycle, n_runs: int) -> float:
+def timed(dynamics: HybridDynamics, cycle: EventReturn, n_runs: int) -> float:
     """Return the median wall time of one period [s]."""
     times: list[float] = []
     for _ in range(n_runs):
         started = time.perf_counter()
-        simulate(dynamics, cycle.start.state, until=cycle.period)
+        simulate(dynamics, cycle.start, until=cycle.period)
         times.append(time.perf_counter() - started)
     return statistics.median(times)
 
@@ -114,14 +114,14 @@ def measure(problem: Problem, inductances: Sequence[float], n_runs: int) -> list
     last: dict[str, Row] = {}
     for inductance in inductances:
         values = problem.values(parameters={"L": inductance})
-        found: dict[str, tuple[HybridDynamics, Cycle]] = {}
+        found: dict[str, tuple[HybridDynamics, EventReturn]] = {}
         near = release
         for name in (QUASI_STATIC, MANIFOLD, CORRECTED, "full"):
             one = models.get(name, problem)
             dynamics = bind(compiled[name], one.shared(values).vector)
             cycle = orbit_near(one, values, near, orbit.period)
             found[name] = (dynamics, cycle)
-            near = cycle.start.state[: len(release)]
+            near = cycle.start[: len(release)]
         truth = found["full"][1]
         costs = errors_of_reduced_models(problem, values)
         for name, (dynamics, cycle) in found.items():

@@ -12,17 +12,19 @@ import json
 import sys
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tests.support.returns import multipliers_at
 from zeno_orbits.errors import RunawayError
-from zeno_orbits.integrators import Tolerance
 from zeno_orbits.maps.attractors import Attractor, AttractorClass
 from zeno_orbits.maps.classify import attractors_at
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.poincare import orbit_multipliers
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 BOUND = 12.0
@@ -44,10 +46,6 @@ def settings_of(problem: Problem, size: int) -> list[ParameterValues]:
     ]
 
 
-EXACT = SimulationSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-13))
-"""Settings of the derivatives along a period."""
-
-
 def misses(
     problem: Problem, values: ParameterValues, found: Attractor
 ) -> tuple[float, float, float]:
@@ -62,11 +60,9 @@ def misses(
     period, release = abs(back.time - found.period), float(np.max(np.abs(back.state - state)))
     if found.returns > 1:
         return period, release, np.nan
-    exact = orbit_multipliers(
-        dynamics, state, scale=1.0 + np.abs(state), period=found.period, settings=EXACT
-    )
+    exact = multipliers_at(dynamics, state, found.period)
     # Those of a complex pair have one modulus, so their order is not certain.
-    missed = np.abs(np.sort_complex(exact.values) - np.sort_complex(found.multipliers))
+    missed = np.abs(np.sort_complex(exact) - np.sort_complex(found.multipliers))
     return period, release, float(np.max(missed))
 
 

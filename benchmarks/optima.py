@@ -32,15 +32,16 @@ import numpy as np
 from scipy.optimize import brentq, minimize, minimize_scalar
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from support.spreading import add_options, arriving
 
 import zeno_orbits as zo
+from tests.support.measured import measured
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.orbits.bounds import Bound, is_kept
 from zeno_orbits.search import Objective, orbit_by_shooting
-from zeno_orbits.verification import measure
 
 MACHINES = Path(__file__).parents[1] / "tests" / "support" / "machines"
 BEATEN, BEATEN_AT_END, LONGEST = 1e-6, 1e-4, 60.0
@@ -192,7 +193,8 @@ class Truth:
             return math.inf
         case, names = self.case, [bound.name for bound in self.case.bounds]
         wanted = case.objective.quantities[0] if not case.quantity else case.quantity
-        found = measure(orbit, zo.load_problem(case.problem), [wanted, *names])
+        problem = zo.load_problem(case.problem)
+        found = {name: measured(orbit, problem, name) for name in [wanted, *names]}
         if not all(is_kept(bound, found[bound.name]) for bound in case.bounds):
             return math.inf
         return case.objective.rank(found[wanted]) if not case.quantity else found[wanted].highest

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.monodromy import return_derivative
+from zeno_orbits.orbits import event_return
 from zeno_orbits.simulation import SimulationSettings
 
 Vector = NDArray[np.float64]
@@ -78,8 +78,15 @@ def releases(
             parameters={name: float(numbers[name]) for name in values.parameters},
         )
         try:
-            found = return_derivative(
-                problem.dynamics(moved), x, horizon=horizon, settings=settings, parameters=(place,)
+            graph = problem.graph_dynamics(moved)
+            found = event_return(
+                graph,
+                graph.first.on_stop(x),
+                section="release stop",
+                n_returns=1,
+                guess=0.25 * horizon,
+                settings=settings,
+                parameters=(place,),
             )
         except (ZenoOrbitsError, FloatingPointError, ZeroDivisionError) as error:
             raise LostError(str(error)) from error

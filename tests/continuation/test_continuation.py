@@ -12,8 +12,9 @@ import pytest
 
 import zeno_orbits as zo
 from tests.reference.closed_forms import StoppedOscillator
-from tests.reference.reference_orbit import RELEASE
+from tests.reference.reference_orbit import PERIOD, RELEASE
 from tests.support.releases import closed_at_release
+from tests.support.returns import next_release, release_section
 from zeno_orbits.continuation import (
     ContinuationSettings,
     Family,
@@ -34,7 +35,7 @@ from zeno_orbits.model import (
     hybrid_system,
     load_problem,
 )
-from zeno_orbits.orbits import Orbit, poincare_map, release_section
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import event_orbit_of, orbit_by_shooting
 from zeno_orbits.simulation import SimulationSettings, simulate
 
@@ -196,7 +197,7 @@ def test_at_the_fold_in_the_damping_gain_differences_have_a_multiplier_of_one() 
     assert fold.error < 1e-10
     dynamics = pendulum(Kd=fold.at.value)
     x = np.array(list(fold.at.state.values()))
-    _, end = poincare_map(dynamics, x, horizon=4.0, settings=SETTINGS)
+    _, end = next_release(dynamics, x, guess=PERIOD)
     assert np.max(np.abs(end - x) / SCALE) < 1e-9
     inside = [p for p in family.points if abs(p.value + 1.6) < 0.02]
     assert {p.stable for p in inside} == {True, False}
@@ -204,7 +205,7 @@ def test_at_the_fold_in_the_damping_gain_differences_have_a_multiplier_of_one() 
     columns: list[np.ndarray] = []
     for k in range(section.dimension):
         sides = [section.state(dynamics, sign * width * np.eye(2)[k]) for sign in (1, -1)]
-        ends = [poincare_map(dynamics, y, horizon=4.0, settings=SETTINGS)[1] for y in sides]
+        ends = [next_release(dynamics, y, guess=PERIOD)[1] for y in sides]
         columns.append(section.coordinates(ends[0]) - section.coordinates(ends[1]))
     values = np.linalg.eigvals(np.stack(columns, axis=1) / (2 * width))
     # Rounding of a return, 1e-12, over the width; and its square by the curvature.
@@ -245,7 +246,7 @@ def linear_growth(kd: float) -> float:
     x, growth = np.array([0.02, 0.0, -0.5, 0.0, -0.2]), 0.0
     x = projected_release(dynamics, x)
     for _ in range(6):
-        _, end = poincare_map(dynamics, x, horizon=6.0, settings=SETTINGS)
+        _, end = next_release(dynamics, x, guess=PERIOD)
         size = float(np.linalg.norm(end))
         growth = size / float(np.linalg.norm(x))
         x = end / size
@@ -331,7 +332,7 @@ def test_derived_numbers_are_held_when_another_one_changes() -> None:
     assert follow.parameters["J_rotor"] != held.parameters["J_rotor"]
     x = np.array(list(family.points[-1].state.values()))
     dynamics = PENDULUM.dynamics(held)
-    time, end = poincare_map(dynamics, x, horizon=4.0, settings=SETTINGS)
+    time, end = next_release(dynamics, x, guess=PERIOD)
     assert np.max(np.abs(end - x) / SCALE) < 1e-9
     assert time == pytest.approx(family.points[-1].period, abs=1e-9)
 
@@ -354,9 +355,7 @@ def test_the_pendulum_doubles_its_period_between_two_flips() -> None:
 
         def image(y: np.ndarray, section=section, dynamics=dynamics) -> np.ndarray:
             start = section.state(dynamics, y)
-            return section.coordinates(
-                poincare_map(dynamics, start, horizon=6, settings=SETTINGS)[1]
-            )
+            return section.coordinates(next_release(dynamics, start, guess=PERIOD)[1])
 
         columns = [(image(away * e) - image(-away * e)) / (2 * away) for e in np.eye(2)]
         values = np.linalg.eigvals(np.stack(columns, axis=1))
@@ -369,8 +368,8 @@ def test_the_pendulum_doubles_its_period_between_two_flips() -> None:
         middle = one.points[len(one.points) // 2]
         dynamics = pendulum(Kp=4.3, Kd=middle.value)
         x = np.array(PENDULUM.state_vector(middle.state))
-        _, once = poincare_map(dynamics, x, horizon=6, settings=SETTINGS)
-        _, twice = poincare_map(dynamics, once, horizon=6, settings=SETTINGS)
+        _, once = next_release(dynamics, x, guess=PERIOD)
+        _, twice = next_release(dynamics, once, guess=PERIOD)
         assert twice == pytest.approx(x, abs=1e-7)
         assert np.max(np.abs(once - x)) > 1e-2
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support.commands import ask
+from tests.support.returns import multipliers_at
 from zeno_orbits.continuation import (
     ContinuationSettings,
     Family,
@@ -20,8 +21,6 @@ from zeno_orbits.continuation import (
     start_orbit,
 )
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import orbit_multipliers
-from zeno_orbits.simulation import SimulationSettings
 
 PENDULUM = load_problem("motor_pendulum")
 OSCILLATOR = load_problem("forced_oscillator")
@@ -40,13 +39,8 @@ def values_of(family: Family, kind: SpecialPointKind) -> list[float]:
 def radius_by_itself(family: Family, point: FamilyPoint) -> float:
     """Return the spectral radius by a return that the continuation has no part in."""
     values = PENDULUM.values(gains={**family.gains, "Kd": point.value})
-    return orbit_multipliers(
-        PENDULUM.dynamics(values),
-        np.array(PENDULUM.state_vector(point.state)),
-        scale=np.array([1.0, 1.0, 10.0, 10.0, 2.0]),
-        period=point.period,
-        settings=SimulationSettings(),
-    ).spectral_radius
+    start = np.array(PENDULUM.state_vector(point.state))
+    return abs(multipliers_at(PENDULUM.dynamics(values), start, point.period)[0])
 
 
 @pytest.mark.slow

@@ -32,7 +32,7 @@ from zeno_orbits.experiment.identification.unknowns import begin_of, unknowns_of
 from zeno_orbits.experiment.orbit_table import measurement
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.model import Problem
-from zeno_orbits.orbits import Orbit, closed_return, cycle_of
+from zeno_orbits.orbits import EventReturn, Orbit, closed_return
 from zeno_orbits.search import orbit_by_shooting, settled_return
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import silent
@@ -235,21 +235,19 @@ def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
     places = tuple(problem.names.index(name) for name in names)
     p = np.array(orbit.values(problem).vector)
     table = tabulate_orbit(orbit, problem, problem.state_names)
-    cycle, settings = table.cycle, SimulationSettings()
+    settings, release = SimulationSettings(), np.array(problem.state_vector(orbit.release_state))
 
     def closed(values: np.ndarray):
         graph = problem.graph_dynamics(values)
-        found = closed_at_release(graph, cycle.start.state, period=cycle.period, settings=settings)
-        until = 2 * found.period
-        return cycle_of(graph.first, found.start, cycle.shape, horizon=until, settings=settings)
+        return closed_at_release(graph, release, period=table.period, settings=settings)
 
     graph = problem.graph_dynamics(p)
     here = closed_return(
         graph,
-        cycle.start.state,
+        release,
         section="release stop",
         n_returns=1,
-        guess=cycle.period,
+        guess=table.period,
         settings=settings,
         parameters=places,
     )
@@ -271,14 +269,9 @@ def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
         assert np.all(np.abs(slope.at(times)[:, :, k] - differences) < 2e-3 * size)
 
 
-def _at(cycle, times: np.ndarray) -> np.ndarray:
-    arcs = [cycle.flight, *cycle.rescaled_flights, cycle.locked]
-    start = cycle.start.time
-    found = []
-    for time in times:
-        arc = next(a for a in arcs if a.start_time - start <= time < a.end_time - start)
-        found.append(arc.state_at(start + time))
-    return np.array(found)
+def _at(found: EventReturn, times: np.ndarray) -> np.ndarray:
+    arcs = [next(a for a in found.arcs if a.start_time <= t < a.end_time) for t in times]
+    return np.array([arc.state_at(time) for arc, time in zip(arcs, times, strict=True)])
 
 
 def test_gathering_many_samples_changes_no_mean(other: Orbit, problem: Problem) -> None:

@@ -10,10 +10,10 @@ from tests.reference.exact_flights import settled
 from tests.reference.reference_orbit import PERIOD, PERIODS, RELEASE
 from tests.support.hard_to_prove import cartesian_pendulum, pendulum
 from tests.support.mechanisms import clocked_oscillator, oscillator
+from tests.support.returns import multipliers_at
 from zeno_orbits.errors import InputError, RunawayError
 from zeno_orbits.maps import Accuracy, AttractorClass, attractors_at, usual_time
 from zeno_orbits.model import load_problem, own_time
-from zeno_orbits.orbits import orbit_multipliers
 from zeno_orbits.simulation import SimulationSettings, simulate
 
 TEN_TURNS = 20 * math.pi
@@ -76,15 +76,8 @@ def test_orbits_multipliers_and_margins_are_those_of_a_single_simulation():
             },
             rel=1e-6,
         )
-        scale = np.maximum(np.abs(release), 0.1)
-        known = orbit_multipliers(
-            dynamics,
-            dynamics.on_stop(release),
-            scale=scale,
-            period=found.period,
-            settings=SimulationSettings(),
-        )
-        assert found.multipliers[0] == pytest.approx(known.values[0], abs=1e-5)
+        known = multipliers_at(dynamics, release, found.period)
+        assert found.multipliers[0] == pytest.approx(known[0], abs=1e-5)
 
 
 @pytest.mark.parametrize("restitution", PERIODS)

@@ -14,7 +14,7 @@ from tests.reference.closed_forms import COCO, FORCED
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Clock, HybridLagrangian, MotorBank, corrected_drive, load_problem
-from zeno_orbits.orbits import Orbit, release_section, write_orbit
+from zeno_orbits.orbits import RELEASE_ROWS, Orbit, section_around, write_orbit
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation import simulate
 from zeno_orbits.verification import verify
@@ -108,7 +108,7 @@ def test_a_start_that_names_no_state_of_the_clock_has_its_declared_phase() -> No
 
 def test_the_radius_of_the_clock_is_no_section_coordinate() -> None:
     dynamics = OSCILLATOR.dynamics(OSCILLATOR.values())
-    section = release_section(dynamics, np.array([0.0, 0.0, -0.8, 0.6]), np.ones(4))
+    section = section_around(dynamics, RELEASE_ROWS, np.array([0.0, 0.0, -0.8, 0.6]), np.ones(4))
     assert section.dimension == 0
 
 

@@ -64,15 +64,6 @@ SMALL = Orbit(
 """No real orbit: enough to be written and read."""
 
 
-def test_the_states_at_events_are_starts_zeno_points_and_those_before_impacts() -> None:
-    (phase,) = SMALL.phases
-    low, lower = {**STATE, "height": 0.01}, {**STATE, "height": 0.001}
-    impacts = (OrbitImpact(time=0.1, state_minus=low), OrbitImpact(time=0.2, state_minus=lower))
-    zeno = {**STATE, "speed": 0.0}
-    orbit = SMALL.with_phases((replace(phase, impacts=impacts, zeno_state=zeno),))
-    assert orbit.states_at_events == (STATE, zeno, low, lower)
-
-
 def _round_trip(orbit: Orbit, folder: Path) -> Orbit:
     path = folder / "orbit.json"
     write_orbit(orbit, path)
@@ -639,21 +630,6 @@ def test_the_table_of_an_orbit_has_the_time_and_the_state_before_every_event() -
         "height": [0.5, 0.25, 0.1, 0.1],
         "speed": [-1.0, -2.0, -1 / 3, -1 / 3],
     }
-
-
-def test_states_at_events_of_several_phases_are_all_starts_then_all_zeno_points() -> None:
-    def state(height: float) -> dict[str, float]:
-        return {**STATE, "height": height}
-
-    first, second = OTHER.phases
-    orbit = OTHER.with_phases(
-        (
-            replace(first, start_state=state(1.0), zeno_state=state(2.0), impacts=()),
-            replace(second, start_state=state(3.0), zeno_state=state(4.0), impacts=()),
-        )
-    )
-    assert orbit.states_at_events == (state(1.0), state(3.0), state(2.0), state(4.0))
-    assert orbit.start_state == state(1.0)
 
 
 @pytest.mark.parametrize("name", ["release_state", "zeno_time", "zeno_state"])

@@ -1,29 +1,34 @@
-"""Charts of sections that are known by hand: lines and circles in the plane."""
+"""Charts of sections: lines and circles known by hand, and the releases of machines."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.support.executions import at
+from tests.reference.reference_orbit import RELEASE, ZENO_STATE
+from tests.support.units import Units, in_units
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
+from zeno_orbits.model import HybridDynamics, load_problem
 from zeno_orbits.orbits import (
     IMPACT_ROWS,
-    ONE_ZENO,
+    RELEASE_ROWS,
     REST_ROWS,
-    EventSequence,
     Line,
-    place_on_section,
+    Multipliers,
     project_to_section,
     section_around,
 )
 
 ROUNDING = 1e-14
+CENTRE = np.array(RELEASE)
+SCALE = np.maximum(np.abs(RELEASE), np.abs(ZENO_STATE)) + 1e-3
 
 
 class Surface:
@@ -181,26 +186,54 @@ def test_a_state_is_projected_to_the_nearest_one_in_scaled_states() -> None:
         assert found == pytest.approx(x / np.linalg.norm(x), abs=ROUNDING)
 
 
-START = at(0.0, 1.0)
+# The release section of machines.
 
 
-def test_a_start_is_moved_along_the_impulse_by_its_gap_and_no_other_way() -> None:
-    def system(restitution: float) -> Any:
-        # Two coordinates, their velocities and one state more.
-        return SimpleNamespace(
-            restitution=restitution,
-            n_q=2,
-            gap=lambda x: x[0] + x[1],
-            impulse_direction=lambda _: np.array([9.0, 9.0, 0.75, 0.25, 9.0]),
-            on_stop=lambda _: START,
-        )
+@pytest.mark.parametrize("coordinates", [(0.0, 0.0), (1e-2, 0.0), (0.0, -1e-2), (0.03, 0.02)])
+def test_states_of_the_section_are_releases(
+    machine: HybridDynamics, coordinates: tuple[float, float]
+) -> None:
+    section = section_around(machine, RELEASE_ROWS, CENTRE, SCALE)
+    assert section.dimension == 2
+    x = section.state(machine, np.array(coordinates))
+    assert machine.gap(x) == pytest.approx(0.0, abs=1e-14)
+    assert machine.gap_rate(x) == pytest.approx(0.0, abs=1e-12)
+    assert machine.multiplier(x) == pytest.approx(0.0, abs=1e-14)
+    assert machine.multiplier_rate(x) < 0.0
 
-    impact = EventSequence.parsed("impact")
-    x = np.array([0.5, -0.25, 1.0, 2.0, 3.0])
-    moved = place_on_section(system(0.5), impact, x)
-    assert moved.tolist() == [0.5 - 0.1875, -0.25 - 0.0625, 1.0, 2.0, 3.0]
-    assert x.tolist() == [0.5, -0.25, 1.0, 2.0, 3.0]
-    exact = np.array([0.5, -0.5, 1.0, 2.0, 3.0])
-    assert place_on_section(system(0.5), impact, exact) is exact
-    for shape, restitution in ((impact, 0.0), (ONE_ZENO, 0.5), (ONE_ZENO, 0.0)):
-        assert place_on_section(system(restitution), shape, x) is START
+
+@pytest.mark.parametrize("coordinates", [(0.0, 0.0), (1e-2, 0.0), (0.0, -1e-2), (0.03, 0.02)])
+def test_coordinates_and_states_of_the_section_invert_each_other(
+    machine: HybridDynamics, coordinates: tuple[float, float]
+) -> None:
+    section = section_around(machine, RELEASE_ROWS, CENTRE, SCALE)
+    x = section.state(machine, np.array(coordinates))
+    assert section.coordinates(x) == pytest.approx(np.array(coordinates), abs=1e-12)
+    again = section.state(machine, section.coordinates(x))
+    assert again == pytest.approx(x, abs=1e-12)
+
+
+def test_the_centre_is_the_origin_of_its_chart(machine: HybridDynamics) -> None:
+    section = section_around(machine, RELEASE_ROWS, CENTRE, SCALE)
+    assert section.coordinates(CENTRE).tolist() == [0.0, 0.0]
+    assert section.tangent.T @ section.tangent == pytest.approx(np.eye(2), abs=1e-12)
+
+
+@pytest.mark.parametrize("time", [1e-6, 1.0, 1e6])
+def test_conditions_of_far_different_sizes_are_all_kept(time: float) -> None:
+    # Gap, gap rate, multiplier and clock leave no freedom; their gradients differ as their units.
+    units = Units(time=time)
+    table = in_units(load_problem("vibrating_table"), units)
+    dynamics, values = table.dynamics(table.values()), table.values().parameters
+    sine = values["g"] / (values["A"] * values["omega"] ** 2)
+    release = np.array([0.0, 0.0, math.sqrt(1 - sine**2), sine])
+    scale = np.array([0.01, 0.4 / time, 1.0, 1.0])
+    assert section_around(dynamics, RELEASE_ROWS, release, scale).dimension == 0
+
+
+def test_the_spectral_radius_is_the_largest_modulus() -> None:
+    found = Multipliers(
+        values=(0.6 + 0.8j, 0.5, -2.0), errors=(0.0,) * 3, jacobian=np.zeros((3, 3))
+    )
+    assert found.spectral_radius == 2.0
+    assert replace(found, values=(0.3 + 0.4j, 0.1)).spectral_radius == 0.5

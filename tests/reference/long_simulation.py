@@ -26,7 +26,7 @@ from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.maps import Attractor, AttractorClass
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
-from zeno_orbits.orbits import release_section
+from zeno_orbits.orbits import RELEASE_ROWS, section_around
 from zeno_orbits.simulation import Execution, Impact, Mode, Release, SimulationSettings, simulate
 
 _PIECES = 6
@@ -210,7 +210,7 @@ class _Return:
 
 def _multipliers(round_trip: _Return, x: Vector, scale: Vector) -> tuple[complex, ...]:
     """Return the Floquet multipliers by central differences of the return."""
-    section = release_section(round_trip.dynamics, x, scale)
+    section = section_around(round_trip.dynamics, RELEASE_ROWS, x, scale)
 
     def image(coordinates: Vector) -> Vector:
         start = section.state(round_trip.dynamics, coordinates)

@@ -10,9 +10,9 @@ from tests.reference import reference_orbit as measured
 from tests.reference.hand_pendulum import HandPendulum
 from tests.reference.many_digits.execution import extended_execution
 from tests.reference.many_digits.fixed_point import ExtendedOrbit, extended_orbit
+from tests.support.returns import multipliers_at
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import orbit_multipliers
-from zeno_orbits.simulation import SimulationSettings, simulate
+from zeno_orbits.simulation import simulate
 
 PENDULUM = load_problem("motor_pendulum")
 
@@ -64,15 +64,9 @@ def test_exact_multipliers_are_those_of_differences_in_many_digits(orbit: Extend
     values = PENDULUM.values()
     dynamics = PENDULUM.dynamics(values)
     release = np.array([float(value) for value in orbit.release_state])
-    found = orbit_multipliers(
-        dynamics,
-        release,
-        scale=1.0 + np.abs(release),
-        period=float(orbit.period),
-        settings=SimulationSettings(),
-    )
+    found = multipliers_at(dynamics, release, float(orbit.period))
     # Differences of 20 digits at 1e-6: their square times the third derivative is left.
-    for exact, known in zip(found.values, orbit.multipliers, strict=True):
+    for exact, known in zip(found, orbit.multipliers, strict=True):
         assert exact == pytest.approx(known, abs=1e-11)
 
 

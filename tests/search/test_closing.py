@@ -17,12 +17,12 @@ from tests.reference.reference_orbit import PERIOD, PERIODS, RELEASE, ZENO_STATE
 from tests.support import sheets
 from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
+from tests.support.returns import next_release, release_return, release_section
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.integrators import Automatic, Engine, Radau
 from zeno_orbits.model import (
     CompletedSystem,
-    HybridDynamics,
     HybridLagrangian,
     Problem,
     StateLimit,
@@ -31,13 +31,7 @@ from zeno_orbits.model import (
     no_drive,
 )
 from zeno_orbits.orbits import (
-    ONE_ZENO,
     Orbit,
-    cycle_of,
-    orbit_multipliers,
-    poincare_map,
-    release_section,
-    return_derivative,
 )
 from zeno_orbits.search import (
     OrbitNotClosedError,
@@ -48,7 +42,7 @@ from zeno_orbits.search import (
     search_orbits,
 )
 from zeno_orbits.simulation import SimulationSettings, Truncation, simulate
-from zeno_orbits.verification import VerificationSettings, verify
+from zeno_orbits.verification import VerificationSettings, multipliers_of, verify
 
 SETTINGS = SimulationSettings()
 PULL = 0.02
@@ -200,11 +194,9 @@ def _behind_the_fold(problem: Problem) -> Orbit:
         entries[place] = z[-1]
         machine = problem.dynamics(entries)
         x = release_section(machine, z[:-1], size[:-1]).state(machine, np.zeros(2))
-        seen = return_derivative(
-            machine, x, horizon=2 * period, settings=SETTINGS, parameters=(place,)
-        )
+        seen = release_return(machine, x, guess=period, parameters=(place,))
         matrix = np.hstack([seen.by_state - np.eye(5), seen.by_parameters]) * size
-        return np.append(x, z[-1]), seen.end - x, matrix, seen.period.value
+        return np.append(x, z[-1]), seen.end - x, matrix, seen.period
 
     z, miss, matrix, period = looked_at(z)
     for _ in range(25):
@@ -260,12 +252,12 @@ def test_the_multiplier_of_a_repelling_orbit_is_that_of_differences(
     machine = problem.dynamics(behind_the_fold.values(problem))
     x = np.array(list(behind_the_fold.release_state.values()))
     scale, period = np.abs(x) + 1.0, behind_the_fold.period
-    exact = orbit_multipliers(machine, x, scale=scale, period=period, settings=SETTINGS)
+    exact = multipliers_of(behind_the_fold, problem)
     section = release_section(machine, x, scale)
 
     def image(coordinates: Vector) -> Vector:
         start = section.state(machine, coordinates)
-        _, end = poincare_map(machine, start, horizon=2 * period, settings=SETTINGS)
+        _, end = next_release(machine, start, guess=period)
         return section.coordinates(end)
 
     def slope(step: float) -> Vector:
@@ -330,30 +322,19 @@ def test_cuts_from_the_last_common_impact_are_the_cuts_from_the_release(
     machine = problem.dynamics(orbit.values(problem))
     seen = verify(orbit, problem, settings=VerificationSettings(n_periods=1))
     release = machine.on_stop(np.array(RELEASE))
-    whole = cycle_of(machine, release, ONE_ZENO, horizon=2 * PERIOD, settings=SETTINGS)
-    when = (whole.zeno.time + whole.end.time) / 2
-    truth = whole.locked.state_at(when)
+    whole = release_return(machine, release, guess=PERIOD)
+    when = (whole.events[-2].time + whole.period) / 2
+    truth = whole.execution.state_at(when)
+    flown = whole.execution.states_at(np.linspace(0.0, whole.period, 10_001))
+    size = np.max(np.abs(flown), axis=0)
     assert len(seen.delta_sweep) == 4
     for cut in seen.delta_sweep:
         rule = replace(SETTINGS, completion=Truncation(delta=cut.delta))
         run = simulate(machine, release, until=when, settings=rule)
-        error = np.max(np.abs(run.end_state - truth) / whole.scale())
+        error = np.max(np.abs(run.end_state - truth) / size)
         # The same impacts, from states that differ by the integration's error.
         assert cut.speed == pytest.approx(abs(run.impacts[-1].approach_rate), rel=1e-8)
         assert cut.error == pytest.approx(error, rel=1e-3, abs=1e-11)
-
-
-def test_a_state_that_vanishes_at_the_events_is_not_sized_by_rounding(
-    machine: HybridDynamics,
-) -> None:
-    release = machine.on_stop(np.array(RELEASE))
-    cycle = cycle_of(machine, release, ONE_ZENO, horizon=2 * PERIOD, settings=SETTINGS)
-    at_events, full = cycle.scale_at_events(), cycle.scale()
-    # The gap theta2 is zero at every event.
-    assert at_events[1] == np.max(at_events)
-    others = [0, 2, 3, 4]
-    assert np.all(at_events[others] <= full[others])
-    assert np.all(at_events[others] > 0.1 * full[others])
 
 
 @pytest.mark.slow

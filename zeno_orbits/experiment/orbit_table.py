@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -22,12 +22,14 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.sequences import OrbitSequence, orbit_sequences
 from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model import Columns, GraphDynamics, HybridDynamics, Problem, dense_function
-from zeno_orbits.orbits import Cycle, Orbit, cycle_of
+from zeno_orbits.orbits import Orbit, event_return
 from zeno_orbits.simulation import (
     Arc,
     Ending,
+    Impact,
     Mode,
     SimulationSettings,
+    ZenoPoint,
     signal,
     signal_names,
     simulate,
@@ -265,20 +267,19 @@ class OrbitTable(PeriodTable):
     """One period of an orbit, from release to release, with times since the first release.
 
     Attributes:
-        cycle: The period.
+        impacts: The impacts that were resolved.
+        zeno_time: Time at which they accumulate [s].
+        rebound_speed: Speed with which the first impact is left. It is 0 at a plastic stop.
     """
 
-    cycle: Cycle
+    impacts: tuple[Impact, ...]
+    zeno_time: float
+    rebound_speed: float
 
     @property
     def first_impact(self) -> float:
         """Time of the first impact [s]."""
-        return self.cycle.impacts[0].time - self.cycle.start.time
-
-    @property
-    def zeno_time(self) -> float:
-        """[s]."""
-        return self.cycle.zeno.time - self.cycle.start.time
+        return self.impacts[0].time
 
 
 def jump_width(error: float) -> float:
@@ -371,14 +372,37 @@ def tabulate_orbit(orbit: Orbit, problem: Problem, names: Sequence[str]) -> Orbi
         names: Names of the signals to tabulate.
 
     Raises:
-        SimulationError: If its release does not return.
+        InputError: If the period differs from one flight, its impacts and one contact phase.
+        SimulationError: If the motion from its release has another event sequence.
     """
-    p = np.asarray(orbit.values(problem).vector, dtype=np.float64)
-    dynamics = problem.dynamics(p)
-    release = dynamics.on_stop(np.array(problem.state_vector(orbit.release_state)))
-    horizon, settings = 2 * orbit.period, SimulationSettings()
-    cycle = cycle_of(dynamics, release, orbit.shape, horizon=horizon, settings=settings)
-    return tabulated(dynamics, cycle, measurement(problem, names), p)
+    values = orbit.values(problem)
+    graph, p = problem.graph_dynamics(values), np.asarray(values.vector, dtype=np.float64)
+    found = event_return(
+        graph,
+        graph.first.on_stop(np.array(problem.state_vector(orbit.release_state))),
+        section=orbit.section,
+        n_returns=1,
+        guess=orbit.period,
+        settings=SimulationSettings(),
+        sequence=orbit.sequence,
+    )
+    impacts = tuple(event for event in found.events if isinstance(event, Impact))
+    zeno = next(event.time for event in found.events if isinstance(event, ZenoPoint))
+    # The unit of time of a rescaled flight is the speed that it starts with.
+    rebound = next(arc for arc in found.arcs if arc.start_time == impacts[0].time)
+    measured, states = measurement(problem, names), graph_nodes(graph, found.arcs)
+    times = tuple(impact.time for impact in impacts)
+    return OrbitTable(
+        sequences={STOP: (OrbitSequence(impacts=times, zeno=zeno, release=found.period),)},
+        impacts=impacts,
+        zeno_time=zeno,
+        rebound_speed=rebound.time_unit if len(impacts) > 1 else 0.0,
+        period=found.period,
+        measured=measured,
+        nodes=signal_nodes(states, measured, p),
+        states=states,
+        p=p,
+    )
 
 
 def tabulate_events(orbit: Orbit, problem: Problem, names: Sequence[str]) -> PeriodTable:
@@ -431,36 +455,6 @@ def closed_nodes(graph: GraphDynamics, arcs: Sequence[Arc]) -> CubicColumns:
         times=np.append(inside.times, inside.times[-1]),
         values=np.concatenate([inside.values, inside.values[:1]]),
         slopes=np.concatenate([inside.slopes, inside.slopes[:1]]),
-    )
-
-
-def tabulated(
-    dynamics: HybridDynamics, cycle: Cycle, measured: Measurement, p: Vector
-) -> OrbitTable:
-    """Return the signals of a period.
-
-    Args:
-        dynamics: The system.
-        cycle: The period.
-        measured: The signals.
-        p: Gains, then parameters.
-    """
-    whole = state_nodes(dynamics, cycle.execution.arcs)
-    start = cycle.start.time
-    whole = replace(whole, times=whole.times - start)
-    only = OrbitSequence(
-        impacts=tuple(one.time - start for one in cycle.impacts),
-        zeno=cycle.zeno.time - start,
-        release=cycle.period,
-    )
-    return OrbitTable(
-        sequences={STOP: (only,)},
-        cycle=cycle,
-        period=cycle.period,
-        measured=measured,
-        nodes=signal_nodes(whole, measured, p),
-        states=whole,
-        p=p,
     )
 
 

@@ -1,13 +1,13 @@
 """Periodic orbits: their shape, section, return map, data and files.
 
-A period is the part of an execution between two crossings of the section. Every user of a period
-gets it as a `Cycle`. The section has one chart, `Section`. The derivatives of the return map are
-exact, through every impact and the Zeno point.
+A period is an `EventReturn`: the events and arcs of a motion between two passages of its section,
+with exact derivatives through every impact and the Zeno point. The section has one chart,
+`Section`.
 
-Offers: `EventSequence` and its phases; `Cycle`, `cycle_of` (simulate one period), `cycles` (all
-that an execution has); `Section`, `section_around`; `poincare_map`, `return_derivative`,
-`orbit_multipliers`; `Orbit`, `new_orbit`, `read_orbit`, `write_orbit`; `Bound`; `follow_path`
-(predictor-corrector steps); `relaxed_tolerance` (error estimates by a second run).
+Offers: `event_return` (simulate one return), `closed_return` (solve for the orbit),
+`multipliers_of_return`; `Section`, `section_around`; `EventSequence` and its phases; `Orbit`,
+`new_orbit`, `read_orbit`, `write_orbit`; `Bound`; `follow_path` (predictor-corrector steps);
+`relaxed_tolerance` (error estimates by a second run).
 
 Imports: simulation, model, integrators, work, arrays, errors.
 """

@@ -210,13 +210,6 @@ class Orbit(TableRepr):
         return tuple(_impact(event) for event in self.events if event.word == "impact")
 
     @property
-    def states_at_events(self) -> tuple[Mapping[str, float], ...]:
-        """State name to value at the start of each phase, at Zeno points, before impacts."""
-        starts = [phase.start_state for phase in self.phases]
-        zeno = [event.state for event in self.events if event.word == "zeno"]
-        return (*starts, *zeno, *(impact.state_minus for impact in self.impacts))
-
-    @property
     def release_state(self) -> Mapping[str, float]:
         """State name to value at the release of an orbit with one release per period.
 

@@ -13,10 +13,8 @@ from functools import partial
 import numpy as np
 
 from zeno_orbits.arrays import Vector, null_space
-from zeno_orbits.errors import SimulationError
-from zeno_orbits.model import GAP, GAP_RATE, MULTIPLIER, HybridDynamics
-from zeno_orbits.orbits.monodromy import differentials_of
-from zeno_orbits.orbits.shape import EventSequence
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model import GAP, GAP_RATE, MULTIPLIER, Differentials, HybridDynamics
 
 RELEASE_ROWS = (GAP, GAP_RATE, MULTIPLIER)
 """Conditions of a release, theory (2.4)."""
@@ -154,24 +152,6 @@ class Section:
         return x
 
 
-def rows_of(shape: EventSequence, restitution: float) -> tuple[int, ...]:
-    """Return the conditions at the start of a period of a shape (theory (3.5))."""
-    if shape.starts_at_release:
-        return RELEASE_ROWS
-    return REST_ROWS if restitution == 0.0 else IMPACT_ROWS
-
-
-def release_section(dynamics: HybridDynamics, centre: Vector, scale: Vector) -> Section:
-    """Return a chart of the release section around a release state.
-
-    Args:
-        dynamics: The system.
-        centre: The release state, ``(n_x,)``.
-        scale: Size of each state, ``(n_x,)``.
-    """
-    return section_around(dynamics, RELEASE_ROWS, centre, scale)
-
-
 def section_around(
     dynamics: HybridDynamics,
     rows: tuple[int, ...],
@@ -258,6 +238,17 @@ def _pseudo_inverse(gradient: Vector, sizes: Vector) -> Vector:
     """Return the pseudo-inverse of a gradient with rows of given sizes, ``(n_x, n)``."""
     inverse = np.linalg.pinv(gradient / sizes, rcond=_RANK)
     return np.asarray(inverse / sizes[:, 0], dtype=np.float64)
+
+
+def differentials_of(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> Differentials:
+    """Return the derivatives of a system with respect to its states and chosen parameters.
+
+    Raises:
+        InputError: If the system does not have formulas.
+    """
+    if dynamics.differentiation is None:
+        raise InputError("Argument `dynamics` must have formulas, but it has plain functions.")
+    return dynamics.differentiation.by(chosen)
 
 
 def conditions(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector) -> Vector:

@@ -9,19 +9,18 @@ run: the part `s` is reached after :math:`\ln s / \ln \lvert\mu\rvert` periods.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
+from zeno_orbits.arrays import Vector, eigenvalue_errors
 from zeno_orbits.errors import positive_number
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits.orbit import Orbit
-from zeno_orbits.orbits.poincare import Multipliers
-from zeno_orbits.orbits.section import coordinates_of
-from zeno_orbits.work import Columns, TableRepr, versions
+from zeno_orbits.orbits.section import Section, coordinates_of
+from zeno_orbits.work import ByValue, Columns, TableRepr, versions
 
 RECOVERED = {"1/e": math.exp(-1.0), "1 %": 0.01}
 """Parts of a small disturbance whose times are printed, by their names."""
@@ -29,6 +28,62 @@ _SURE = 1e-3
 """Errors of the multipliers of an orbit that closes are smaller, relative to 1 or the largest."""
 _SEEN = 0.1
 """Least size of a state in a direction, relative to that of the first state, to be named."""
+_SAFE = 2.0
+"""Factor on an error that is known to first order."""
+_AT_FOLD = 1e-6
+"""Distance of a multiplier from 1 below which an orbit is at a fold."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Multipliers(ByValue):
+    """Floquet multipliers of the return map.
+
+    Attributes:
+        values: The multipliers, the largest first.
+        errors: Estimated error of each multiplier.
+        jacobian: Derivative of the return map in section coordinates, ``(d, d)``.
+        section: The chart of the section, or ``None`` if the multipliers are unknown.
+        event: Name of the event of the section.
+    """
+
+    values: tuple[complex, ...]
+    errors: tuple[float, ...]
+    jacobian: Vector
+    section: Section | None = None
+    event: str = ""
+
+    @classmethod
+    def unknown(cls) -> Multipliers:
+        """Return the multipliers of an orbit that does not return."""
+        return cls(values=(), errors=(math.inf,), jacobian=np.zeros((0, 0)))
+
+    @property
+    def error(self) -> float:
+        """Largest error of a multiplier. Infinite if the multipliers are unknown."""
+        return max(self.errors, default=0.0)
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest modulus. If it is below one, the orbit is stable."""
+        return max((abs(value) for value in self.values), default=0.0)
+
+
+def estimated_errors(
+    values: Sequence[complex], others: Sequence[complex], least: float
+) -> tuple[float, ...]:
+    r"""Return the estimated errors of the multipliers of an orbit.
+
+    If a period ends `d` away from its start, the orbit is :math:`d / |1 - \mu|` away to first
+    order, and the change of the multipliers over the period is multiplied accordingly.
+
+    Args:
+        values: The multipliers, the largest first.
+        others: Multipliers of a rougher computation that starts at the end of the period.
+        least: Least error, because two computations may agree by chance.
+    """
+    nearest = min([1.0, *(abs(1.0 - value) for value in values)])
+    farther = _SAFE / max(nearest, _AT_FOLD)
+    return tuple(farther * error + least for error in eigenvalue_errors(values, others))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

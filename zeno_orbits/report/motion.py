@@ -10,8 +10,9 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import GraphDynamics, HybridDynamics, ParameterValues, Problem
-from zeno_orbits.orbits import Orbit, place_on_section
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.simulation import Execution, Mode, simulate, state_after, state_before
+from zeno_orbits.verification import start_on_section
 
 _LONGER = 1e-6
 """Part of the duration to follow a motion longer, so that rounding cuts off no release."""
@@ -42,11 +43,8 @@ def orbit_motion(
     Raises:
         SimulationError: If the execution cannot be continued: a false orbit may run anywhere.
     """
-    start = np.array(problem.state_vector(orbit.start_state))
-    if orbit.has_phases and isinstance(dynamics, HybridDynamics):
-        shape = orbit.shape.at_restitution(dynamics.restitution)
-        # The verifier rejects an initial state off the section, but the simulator must accept it.
-        start = place_on_section(dynamics, shape, start)
+    # The verifier rejects an initial state off the section, but the simulator must accept it.
+    start = start_on_section(orbit, problem, dynamics)
     until = periods * orbit.period * (1 + _LONGER)
     return simulate(dynamics, start, until=until, past=orbit.past_switch)
 

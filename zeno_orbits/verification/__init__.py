@@ -4,12 +4,10 @@ The problem is rebuilt from the orbit's gains and parameters and integrated forw
 compared with the data of the orbit. The verification is independent of the method that found the
 orbit. The modules in the order of execution are `claim` (the orbit as vectors), `integration`,
 `residuals`, `second_net` (sampled guards), `energies`, `cross_checks` (truncations, a second
-model), `margins`, `multipliers` and `certificate`. `verifier` combines them. `measurement`
-computes the range of a quantity along an orbit.
+model), `margins`, `multipliers` and `certificate`. `verifier` combines them.
 
 Offers: `verify`, `multipliers_of`, `VerificationSettings`, `OrbitCertificate`, `CHECKS`,
-`RESIDUALS`, `with_certificate`; `measure`, `require_quantities`; `EVENT_MARGINS`,
-`measured_margin`.
+`RESIDUALS`, `with_certificate`; `start_on_section`; `EVENT_MARGINS`, `measured_margin`.
 
 Imports: orbits, simulation, model, integrators, work, arrays, errors. Never search,
 continuation, maps, experiment or precision.

@@ -2,11 +2,10 @@ from .certificate import CHECKS as CHECKS
 from .certificate import DeltaCut as DeltaCut
 from .certificate import OrbitCertificate as OrbitCertificate
 from .certificate import RESIDUALS as RESIDUALS
+from .claim import start_on_section as start_on_section
 from .margins import EVENT_MARGINS as EVENT_MARGINS
 from .margins import SHARE as SHARE
 from .margins import measured_margin as measured_margin
-from .measurement import measure as measure
-from .measurement import require_quantities as require_quantities
 from .verifier import VerificationSettings as VerificationSettings
 from .verifier import with_certificate as with_certificate
 from .verifier import multipliers_of as multipliers_of

@@ -247,6 +247,22 @@ class Case:
         )
 
 
+def start_on_section(
+    orbit: Orbit, problem: Problem, dynamics: HybridDynamics | GraphDynamics
+) -> Vector:
+    """Return the start of an orbit, moved onto the stops that it touches there, ``(n_x,)``.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem.
+        dynamics: The machine at the parameter values of the orbit.
+
+    Raises:
+        InputError: If the orbit does not fit the problem.
+    """
+    return Case.of(orbit, problem, dynamics).start
+
+
 def _require_same(names: Iterable[str], known: Iterable[str], wanted: str) -> None:
     odd = ", ".join(sorted(set(names) ^ set(known)))
     if odd:

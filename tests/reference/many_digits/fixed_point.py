@@ -38,7 +38,7 @@ from tests.reference.many_digits.system import ExtendedSystem, State, relative_d
 from zeno_orbits.arrays import Array
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Section, release_section
+from zeno_orbits.orbits import RELEASE_ROWS, Section, section_around
 
 _SCOUT_DIGITS = 20
 """Length of the numbers in which the derivative is measured."""
@@ -109,7 +109,8 @@ def extended_orbit(
     check_state(release_guess, compiled.n_x)
     x = np.array([float(value) for value in release_guess])
     dynamics = problem.dynamics(values)
-    section = release_section(dynamics, x, dynamics.own.states(len(x)) + np.abs(x))
+    size = dynamics.own.states(len(x)) + np.abs(x)
+    section = section_around(dynamics, RELEASE_ROWS, x, size)
     lengths = (_SCOUT_DIGITS, *(digits + spare for spare in SPARE_DIGITS))
     maps = [
         _ReturnMap(ExtendedSystem(problem, values, length), section, horizon) for length in lengths

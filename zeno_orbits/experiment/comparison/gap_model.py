@@ -18,8 +18,7 @@ from zeno_orbits.experiment.orbit_table import (
     measurement,
 )
 from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.orbits import Cycle
+from zeno_orbits.model import Problem
 
 _AT_ONCE = 1 << 18
 
@@ -68,15 +67,15 @@ def gap_model(table: OrbitTable, problem: Problem, period: float) -> GapModel:
     """
     dynamics = problem.dynamics(table.p)
     column = [table.measured.names.index(GAP)]
-    cycle, stretch = table.cycle, period / table.period
-    starts = [cycle.start.time, *(impact.time for impact in cycle.impacts)]
+    stretch = period / table.period
+    starts = [0.0, *(impact.time for impact in table.impacts)]
     flights = tuple(
         Flight(
-            start=(start - cycle.start.time) * stretch,
-            end=(impact.time - cycle.start.time) * stretch,
+            start=start * stretch,
+            end=impact.time * stretch,
             rate=impact.approach_rate / stretch,
         )
-        for start, impact in zip(starts, cycle.impacts, strict=False)
+        for start, impact in zip(starts, table.impacts, strict=False)
     )
     nodes = CubicColumns(
         times=table.nodes.times * stretch,
@@ -86,16 +85,10 @@ def gap_model(table: OrbitTable, problem: Problem, period: float) -> GapModel:
     return GapModel(
         nodes=nodes,
         flights=flights,
-        restitution=_first_restitution(dynamics, cycle),
+        restitution=dynamics.restitution_of(-table.impacts[0].approach_rate),
         zeno_time=table.zeno_time * stretch,
         period=period,
     )
-
-
-def _first_restitution(dynamics: HybridDynamics, cycle: Cycle) -> float:
-    if not cycle.impacts:
-        return dynamics.restitution
-    return dynamics.restitution_of(-cycle.impacts[0].approach_rate)
 
 
 def recorded_gap(table: OrbitTable, problem: Problem, recording: Recording) -> Vector | None:

@@ -94,7 +94,8 @@ def contact_metrics(
         unit: Unit of the gap.
     """
     first, zeno, period = table.first_impact, table.zeno_time, table.period
-    own_speed, e = table.cycle.impacts[0].approach_rate, _restitution(table)
+    own_speed = table.impacts[0].approach_rate
+    e = table.rebound_speed / -own_speed
     yield metric("first impact time", "s", first, found.landing.unsure(where.error))
     yield metric("first impact speed", unit_quotient(unit, "s"), own_speed, found.speed)
     yield metric("restitution seen", "1", e, found.restitution.unsure(found.rebound_doubt))
@@ -103,12 +104,3 @@ def contact_metrics(
     yield metric("locked duration", "s", period - zeno, found.contact)
     yield metric("release time", "s", period, found.release.unsure(where.error))
     yield metric("gap while locked", unit, 0.0, found.level)
-
-
-def _restitution(table: OrbitTable) -> float:
-    """Return the restitution that an orbit's first impact shows."""
-    cycle = table.cycle
-    if len(cycle.impacts) < 2 or not cycle.rescaled_flights:
-        return 0.0
-    # The unit of time of a rescaled flight is the speed that it starts with.
-    return float(cycle.rescaled_flights[0].time_unit / -cycle.impacts[0].approach_rate)

@@ -86,8 +86,8 @@ def contact_finding(found: ContactFit | None, table: OrbitTable, time: Vector) -
 
 def _decay(found: ContactFit, table: OrbitTable, step: float) -> Finding:
     """Test whether the gap consists of flights with decaying impacts, and contact."""
-    times = [one.time for one in table.cycle.impacts]
-    rebounds = len(times) > 1 and bool(table.cycle.rescaled_flights)
+    times = [one.time for one in table.impacts]
+    rebounds = len(times) > 1
     bounce, resolved = found.restitution, found.resolved
     none = "no decaying sequence of impacts is seen"
     if found.misfit > _MISFIT:

@@ -19,7 +19,6 @@ from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
 from zeno_orbits.orbits.events.section import EventReturn, SectionMode, event_return, largest_states
-from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.orbit import Orbit
 from zeno_orbits.orbits.section import (
     IMPACT_ROWS,
@@ -27,6 +26,7 @@ from zeno_orbits.orbits.section import (
     REST_ROWS,
     Section,
     conditions,
+    differentials_of,
     section_of,
 )
 from zeno_orbits.orbits.sequences import (

@@ -20,13 +20,13 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, UnsettledError
 from zeno_orbits.model import GraphDynamics, event_of_setting, require_zeno_points
 from zeno_orbits.orbits.looser_run import extrapolated
-from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.section import (
     IMPACT_ROWS,
     RELEASE_ROWS,
     REST_ROWS,
     Section,
     conditions_gradient,
+    differentials_of,
     project_to_section,
     section_of,
 )
