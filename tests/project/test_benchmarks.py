@@ -29,7 +29,6 @@ REDUCED = {
     "many_gains": ("--gains", "2", "--kinds", "amplitudes", "--trials", "4"),
     "map_agreement": ("--points", "3", "--grid", "4"),
     "map_speed": ("--size", "3", "--orbits", "2", "--fates", "2"),
-    "multipliers": ("--repeats", "1"),
     "one_machine": ("--problems", "bouncing_ball", "--tasks", "verify"),
     "one_story": ("vibrating_table",),
     "optima": ("--only", "4", "--workers", "1"),
