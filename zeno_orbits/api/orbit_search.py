@@ -241,6 +241,7 @@ def search_event_gains(
     objective: Objective | None = None,
     bounds: Sequence[Bound] = (),
     section: str | None = None,
+    shape: EventSequence | None = None,
     until: float | None = None,
     n_starts: int = 12,
     seed: int = 0,
@@ -248,6 +249,8 @@ def search_event_gains(
     method: SearchMethod | None = None,
     allow_unstable: bool = False,
     settings: SimulationSettings | None = None,
+    workers: int = 1,
+    plan: ExecutionPlan | None = None,
     on_progress: Progress = silent,
 ) -> EventSearchResult:
     """Find gains of an orbit of events, and verify the orbit.
@@ -274,6 +277,8 @@ def search_event_gains(
             hold at every corner.
         section: Name of the event at which the period starts and ends. The default is chosen by the
             program.
+        shape: Mode sequence of the orbit of a machine with the stop `stop`. The default is the
+            sequence that a simulation reaches.
         until: Longest time to settle [s].
         n_starts: Number of further starts in the ranges, if no motion settles at the first, or if
             several orbits are searched.
@@ -284,6 +289,9 @@ def search_event_gains(
             whose optimum shooting checks, or shooting.
         allow_unstable: Rank unstable orbits, too.
         settings: Integrator and accuracy.
+        workers: Number of processes that try starts. Several processes need the name or the file
+            of the problem. The result is independent of their number.
+        plan: Executor of the work and folder of finished starts. It overrides ``workers``.
         on_progress: Called with the stage and the part of it that is done.
 
     Returns:
@@ -294,14 +302,20 @@ def search_event_gains(
         InputError: If a name is unknown, a value is out of range, or the objective needs another
             machine.
         SimulationError: If no motion settles to an orbit.
+        WorkError: If the workers cannot finish.
     """
     from zeno_orbits.search import SearchMethod as Method
+    from zeno_orbits.search import StartWorkers
     from zeno_orbits.search import search_event_orbits as search
 
     if candidates < 1:
         raise InputError(f"Argument `candidates` must be at least 1, but it is {candidates}.")
     known = repeating_problem(problem)
     begin = None if near is None else _near(near, known)
+    shared = plan_of(workers, plan)
+    spread = None
+    if shared is not None:
+        spread = StartWorkers(problem_file=file_of(problem), plan=shared, tell=on_progress)
     result = search(
         known,
         start_values(known, near=begin, gains=gains, parameters=parameters),
@@ -311,14 +325,18 @@ def search_event_gains(
         bounds=bounds,
         start=start,
         section=section,
+        shape=shape,
         until=until,
         n_starts=n_starts,
         seed=whole("seed", seed),
         candidates=candidates,
         method=method or Method.AUTO,
-        accept=Verified(problem=known, allow_unstable=allow_unstable),
+        accept=Verified(
+            problem=known if shared is None else file_of(problem), allow_unstable=allow_unstable
+        ),
         simulation=settings,
         on_progress=on_progress,
+        spread=spread,
     )
     return _with_event_certificates(result)
 

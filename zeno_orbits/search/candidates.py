@@ -6,78 +6,120 @@ orbit, at its values, and every other attractor is a further start.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import EventReturn, Orbit, orbit_event_name
 from zeno_orbits.search.closing import return_near
 from zeno_orbits.search.gains import GainSearch
+from zeno_orbits.search.objectives import NearestGains, Objective
 from zeno_orbits.search.outcome import (
     Accept,
     EventCandidate,
     EventSearchResult,
     StartAttempt,
-    Verdict,
 )
 from zeno_orbits.search.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.simulation import SimulationSettings, state_before
-from zeno_orbits.work import Progress, silent
+from zeno_orbits.simulation import state_before
+from zeno_orbits.work import from_plain, to_plain
 
 
-def judged(result: EventSearchResult, accept: Accept | None) -> EventSearchResult:
-    """Return a result with the certificate of its orbit, if there is a check.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartEnd:
+    """The end of a search from one start.
+
+    Attributes:
+        result: The result, ``None`` if no orbit was found to search from.
+        objection: Reason why the check refuses its orbit. Empty if it does not.
+        error: Why there is no result.
+    """
+
+    result: EventSearchResult | None = None
+    objection: str = ""
+    error: ZenoOrbitsError | None = None
+
+    def as_plain(self) -> dict[str, Any]:
+        """Return the end as plain data, without the objective."""
+        result, error = self.result, self.error
+        told = None
+        if error is not None:
+            told = {
+                "invalid": isinstance(error, InputError),
+                "reason": getattr(error, "reason", str(error)),
+                "time": float(getattr(error, "time", 0.0)),
+                "state": list(getattr(error, "state", ())),
+            }
+        wished = result and replace(result, objective=NearestGains(target={}))
+        return {"result": to_plain(wished), "objection": self.objection, "error": to_plain(told)}
+
+    @classmethod
+    def from_plain(cls, data: Mapping[str, Any], objective: Objective) -> StartEnd:
+        """Return the end of plain data.
+
+        Args:
+            data: The data.
+            objective: The objective of the search.
+        """
+        told = data["error"]
+        if told is not None and told["invalid"]:
+            return cls(error=InputError(told["reason"]))
+        if told is not None:
+            state = tuple(map(float, told["state"]))
+            return cls(error=SimulationError(told["reason"], time=float(told["time"]), state=state))
+        result = replace(from_plain(EventSearchResult, data["result"]), objective=objective)
+        return cls(result=result, objection=data["objection"])
+
+
+def end_of_start(
+    search: GainSearch, place: ParameterValues, start: Mapping[str, float] | None
+) -> StartEnd:
+    """Return the end of a search from one start, with the verdict on its orbit.
 
     Args:
-        result: The result.
-        accept: The check, or ``None``.
+        search: The search.
+        place: Values of the start.
+        start: Its initial state, by default each start of the problem in turn.
     """
-    return _judged(result, accept)[0]
+    try:
+        result = search.best(search.returned(place, start), place).result
+    except ZenoOrbitsError as error:
+        return StartEnd(error=error)
+    return _judged(result, search.accept)
 
 
-def _judged(result: EventSearchResult, accept: Accept | None) -> tuple[EventSearchResult, Verdict]:
-    """Return a result with the certificate of its orbit, and the judgement."""
+def _judged(result: EventSearchResult, accept: Accept | None) -> StartEnd:
+    """Return a result with the certificate of its orbit, if there is a check."""
     if result.orbit is None or accept is None:
-        return result, Verdict()
+        return StartEnd(result=result)
     judgement = accept(result.orbit)
     certificate = judgement.certificate
     if certificate is not None:
         certificate = replace(certificate, asked=result.asked)
-    return replace(result, certificate=certificate), judgement
+    return StartEnd(result=replace(result, certificate=certificate), objection=judgement.objection)
 
 
 def ranked_candidates(
-    problem: Problem,
     search: GainSearch,
     places: Sequence[ParameterValues],
+    ends: Iterable[StartEnd],
     *,
-    start: Mapping[str, float] | None,
-    free: tuple[str, ...],
     n_wanted: int,
-    accept: Accept | None,
-    until: float | None,
     seed: int,
-    simulation: SimulationSettings,
-    on_progress: Progress = silent,
 ) -> EventSearchResult:
     """Return the best of several orbits, with the others as its candidates.
 
     Args:
-        problem: The problem.
         search: The search from one start.
-        places: Values at which the search starts, in order, until enough orbits are accepted.
-        start: State name to initial value, by default each start of the problem in turn.
-        free: Names of the free values.
+        places: Values at which the search starts.
+        ends: The ends of these starts in order, until enough orbits are accepted.
         n_wanted: Number of different orbits.
-        accept: Check of the orbits. By default all orbits are accepted.
-        until: Longest time to settle [s].
         seed: Seed of the initial states.
-        simulation: Accuracy.
-        on_progress: Called with the stage.
 
     Raises:
         ZenoOrbitsError: If no start leads to an orbit, the reason of the last start.
@@ -85,18 +127,18 @@ def ranked_candidates(
     # Most searches need no scan of states.
     from zeno_orbits.search.coexisting import N_STATES, coexisting_attractors
 
-    ranking = _Ranking(problem, search, free, accept, simulation)
-    for place in places:
-        ranking.add(place, start)
+    ranking, problem = _Ranking(search), search.problem
+    for place, end in zip(places, ends, strict=False):
+        ranking.add(place, end)
         if len(ranking.found) >= n_wanted:
             break
     n_states = 0
     if ranking.found:
         best = ranking.best.orbit
         values = best.values(problem)
-        on_progress("looking for other attractors from other initial states", None)
+        search.on_progress("looking for other attractors from other initial states", None)
         attractors = coexisting_attractors(
-            problem, values, problem.graph_dynamics(values), best, until=until, seed=seed
+            problem, values, problem.graph_dynamics(values), best, until=search.until, seed=seed
         )
         n_states = N_STATES
         for one in attractors:
@@ -107,16 +149,8 @@ def ranked_candidates(
 class _Ranking:
     """The results of starts, and the different orbits among them."""
 
-    def __init__(
-        self,
-        problem: Problem,
-        search: GainSearch,
-        free: tuple[str, ...],
-        accept: Accept | None,
-        simulation: SimulationSettings,
-    ) -> None:
-        self._problem, self._search, self._free = problem, search, free
-        self._accept, self._simulation = accept, simulation
+    def __init__(self, search: GainSearch) -> None:
+        self._search, self._problem, self._free = search, search.problem, tuple(search.free)
         self._first: EventSearchResult | None = None
         self._trouble: ZenoOrbitsError | None = None
         self._attempts: list[StartAttempt] = []
@@ -128,20 +162,18 @@ class _Ranking:
         """The accepted orbit of the lowest score."""
         return min((one for _, one in self.found), key=lambda one: one.score)
 
-    def add(self, place: ParameterValues, start: Mapping[str, float] | None) -> None:
-        """Search from a start, and rank its orbit.
+    def add(self, place: ParameterValues, end: StartEnd) -> None:
+        """Rank the orbit of a start.
 
         Args:
             place: Values of the start.
-            start: Its initial state, by default each start of the problem in turn.
+            end: Its end.
         """
-        status, detail = SearchStatus.NO_GUESS, ""
-        try:
-            result = self._search.best(self._search.returned(place, start), place).result
-        except ZenoOrbitsError as error:
-            self._trouble, detail = error, str(error)
+        status, detail = SearchStatus.NO_GUESS, str(end.error or "")
+        if end.result is None:
+            self._trouble = end.error
         else:
-            status, detail = self._joined(result)
+            status, detail = self._joined(end.result, end.objection)
         free = {name: place.parameters[name] for name in self._free if name in place.parameters}
         self._attempts.append(
             StartAttempt(gains=place.gains, parameters=free, status=status, detail=detail)
@@ -162,7 +194,9 @@ class _Ranking:
                 and has_last_event(self._problem, orbit, found)
                 for orbit in known
             ):
-                self._joined(self._search.best(found, values).result)
+                end = _judged(self._search.best(found, values).result, self._search.accept)
+                if end.result is not None:
+                    self._joined(end.result, end.objection)
         except ZenoOrbitsError:
             # The approximate attractor of a short simulation may be none.
             return
@@ -187,16 +221,15 @@ class _Ranking:
             n_orbits=self._n_orbits,
         )
 
-    def _joined(self, result: EventSearchResult) -> tuple[SearchStatus, str]:
+    def _joined(self, result: EventSearchResult, objection: str) -> tuple[SearchStatus, str]:
         """Add the orbit of a result, if it is accepted, and return its status and the reason."""
         self._n_orbits += result.n_orbits
-        result, judgement = _judged(result, self._accept)
         if self._first is None:
             self._first = result
         if result.orbit is None:
             return SearchStatus.NOT_SOLVED, result.detail
-        if judgement.objection:
-            return SearchStatus.NOT_ACCEPTED, judgement.objection
+        if objection:
+            return SearchStatus.NOT_ACCEPTED, objection
         new = EventCandidate(orbit=result.orbit, score=result.score, certificate=result.certificate)
         for k, (known, one) in enumerate(self.found):
             if self._is_same(result, new, one):
@@ -226,7 +259,7 @@ class _Ranking:
         if not are_close(pairs, close):
             return False
         try:
-            there = return_near(self._problem, b, one.orbit, simulation=self._simulation)
+            there = return_near(self._problem, b, one.orbit, simulation=self._search.simulation)
         except ZenoOrbitsError:
             return False
         return has_last_event(self._problem, other.orbit, there)

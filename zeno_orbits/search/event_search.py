@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
-from zeno_orbits.errors import SimulationError
-from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Bound, Orbit
-from zeno_orbits.search.candidates import judged, ranked_candidates
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.model import ParameterValues, Problem, ProblemFile
+from zeno_orbits.orbits import Bound, EventSequence, Orbit
+from zeno_orbits.search.candidates import StartEnd, end_of_start, ranked_candidates
 from zeno_orbits.search.closing import require_no_other_start
 from zeno_orbits.search.gains import GainSearch
+from zeno_orbits.search.multistart import StartWorkers, results_in_order
 from zeno_orbits.search.objectives import NearestGains, Objective
 from zeno_orbits.search.outcome import Accept, EventSearchResult
 from zeno_orbits.search.search_problem import clipped
 from zeno_orbits.search.settings import SearchMethod
 from zeno_orbits.search.validation import check_bounds, check_objective
-from zeno_orbits.simulation import SimulationSettings
-from zeno_orbits.work import Progress, silent
+from zeno_orbits.simulation import SimulationSettings, simulator_in_use
+from zeno_orbits.work import FailedPoint, Progress, silent, to_plain, versions
 
 
 def search_event_orbits(
@@ -31,6 +35,7 @@ def search_event_orbits(
     near: Orbit | None = None,
     start: Mapping[str, float] | None = None,
     section: str | None = None,
+    shape: EventSequence | None = None,
     until: float | None = None,
     n_starts: int = 12,
     seed: int = 0,
@@ -39,6 +44,7 @@ def search_event_orbits(
     accept: Accept | None = None,
     simulation: SimulationSettings | None = None,
     on_progress: Progress = silent,
+    spread: StartWorkers | None = None,
 ) -> EventSearchResult:
     """Return the best orbit of events of a machine, or several of them, ranked.
 
@@ -52,6 +58,7 @@ def search_event_orbits(
         near: A known orbit at which the search starts, in place of a motion that settles.
         start: State name to initial value, by default each start of the problem in turn.
         section: Name of the event at which the period starts and ends. By default it is chosen.
+        shape: Phases of the period of a machine with the stop `stop`. The default is any.
         until: Longest time to settle [s].
         n_starts: Number of further free values, from all over the ranges, that are tried in turn
             until a motion settles to an orbit.
@@ -61,10 +68,14 @@ def search_event_orbits(
         accept: Check of the orbits. Only accepted orbits are ranked. By default there is no check.
         simulation: Accuracy.
         on_progress: Called with the stage.
+        spread: Workers for the starts after the first. By default all starts run in this process.
+            The result does not depend on the workers.
 
     Raises:
-        InputError: If a name or range is invalid, or the objective needs another machine.
+        InputError: If a name or range is invalid, the objective needs another machine, or the
+            executor or the checkpoint of ``spread`` is not usable.
         SimulationError: If no motion settles to an orbit at any of the free values.
+        WorkError: If the workers of ``spread`` cannot finish.
     """
     wish = objective or NearestGains(target={})
     for name, box in free.items():
@@ -75,6 +86,8 @@ def search_event_orbits(
         values = values.replaced(wish.target)
     if near is not None:
         require_no_other_start(start, section)
+        if shape is not None:
+            near.shape.agreed(shape)
         n_starts = 0
     search = GainSearch(
         problem=problem,
@@ -86,36 +99,106 @@ def search_event_orbits(
         accept=accept,
         near=near,
         section=section,
+        shape=shape,
         until=until,
         simulation=simulation or SimulationSettings(),
         on_progress=on_progress,
     )
     places = _places(search.origin, free, n_starts, seed)
-    if candidates > 1:
-        return ranked_candidates(
-            problem,
-            search,
-            places,
-            start=start,
-            free=tuple(free),
-            n_wanted=candidates,
-            accept=accept,
-            until=until,
-            seed=seed,
-            simulation=search.simulation,
-            on_progress=on_progress,
-        )
-    trouble: SimulationError | None = None
-    for place in places:
-        try:
-            found = search.returned(place, start)
-        except SimulationError as error:
-            trouble = error
-            continue
-        return judged(search.best(found, place).result, accept)
+    if spread is None:
+        ends = (end_of_start(search, place, start) for place in places)
+    else:
+        ends = _ends_spread(search, places, start, spread)
+    with closing(ends):
+        if candidates > 1:
+            return ranked_candidates(search, places, ends, n_wanted=candidates, seed=seed)
+        trouble: ZenoOrbitsError | None = None
+        for end in ends:
+            if end.result is not None:
+                return end.result
+            trouble = end.error
+            if not isinstance(trouble, SimulationError):
+                break
     if trouble is None:
         raise AssertionError("A search has a first place.")
     raise trouble
+
+
+def _ends_spread(
+    search: GainSearch,
+    places: Sequence[ParameterValues],
+    start: Mapping[str, float] | None,
+    spread: StartWorkers,
+) -> Generator[StartEnd]:
+    """Yield the ends of starts in order, as `results_in_order`."""
+    # The problem is loaded by every worker, and progress is told by this process.
+    question = {
+        field.name: getattr(search, field.name)
+        for field in fields(search)
+        if field.name not in ("problem", "on_progress")
+    }
+    task = _Task(
+        problem_file=spread.problem_file, question=question, places=tuple(places), start=start
+    )
+    results = results_in_order(
+        task,
+        len(places),
+        spread,
+        problem=search.problem,
+        here=lambda numbers: task.ends(search, numbers),
+        identity=task.identity,
+    )
+    try:
+        for result in results:
+            if isinstance(result, FailedPoint):
+                yield StartEnd(error=SimulationError(result.reason, time=0.0, state=()))
+            else:
+                yield StartEnd.from_plain(result, search.objective)
+    finally:
+        results.close()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Task:
+    """A task that runs starts by their indices. It contains all data that a worker needs.
+
+    Attributes:
+        problem_file: File from which the worker loads the problem.
+        question: The search without its problem.
+        places: Values of the starts.
+        start: Initial state of the motions, by default each start of the problem in turn.
+    """
+
+    problem_file: ProblemFile
+    question: Mapping[str, Any]
+    places: tuple[ParameterValues, ...]
+    start: Mapping[str, float] | None
+
+    def __call__(self, numbers: Sequence[int]) -> list[dict[str, Any]]:
+        """Return the ends of starts, as plain data."""
+        return self.ends(GainSearch(problem=self.problem_file.load(), **self.question), numbers)
+
+    def ends(self, search: GainSearch, numbers: Sequence[int]) -> list[dict[str, Any]]:
+        """Return the ends of starts of a given search, as plain data."""
+        return [end_of_start(search, self.places[k], self.start).as_plain() for k in numbers]
+
+    def identity(self) -> dict[str, Any]:
+        """Return all inputs on which the end of a start depends."""
+        question = dict(self.question)
+        origin = question.pop("origin")
+        return {
+            "work": "search of events",
+            "problem": self.problem_file.load().name,
+            "problem_digest": self.problem_file.digest,
+            "gains": to_plain(origin.gains),
+            "parameters": to_plain(origin.parameters),
+            "places": [to_plain(place.numbers) for place in self.places],
+            "start": to_plain(self.start),
+            "from": to_plain(question.pop("near")),
+            **{name: to_plain(value, name) for name, value in question.items()},
+            "simulator": simulator_in_use(),
+            "versions": versions(),
+        }
 
 
 def _places(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import ProblemFile
+from zeno_orbits.model import Problem, ProblemFile
 from zeno_orbits.search.outcome import Accept, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
@@ -42,6 +42,45 @@ class StartWorkers:
     tell: Progress = silent
 
 
+RunStarts = Callable[[Sequence[int]], Sequence[Any]]
+"""Function from indices of starts to their results as plain data. It can be pickled."""
+
+
+def results_in_order(
+    task: RunStarts,
+    count: int,
+    spread: StartWorkers,
+    *,
+    problem: Problem,
+    here: RunStarts,
+    identity: Callable[[], Mapping[str, Any]],
+) -> Generator[Any]:
+    """Return the results of the starts of a search in order: first from this process, then others.
+
+    Most searches end at their first start, before workers could begin.
+
+    Args:
+        task: Function from indices of starts to their results as plain data.
+        count: Number of starts.
+        spread: The workers, and the checkpoint of finished starts.
+        problem: The problem of the search.
+        here: The same task for this process.
+        identity: Function that returns all inputs on which a result depends, for the checkpoint.
+
+    Raises:
+        InputError: If the workers load another problem, the executor is not available, or the
+            checkpoint belongs to another search.
+        WorkError: If the work cannot be finished.
+    """
+    if spread.problem_file.load() is not problem:
+        wanted = "must be the problem that the workers of `spread` load"
+        raise InputError(f"Argument `problem` {wanted}, but it is another `{problem.name}`.")
+    plan = replace(spread.plan, chunk=1, noun="starts at most")
+    if plan.checkpoint is not None:
+        plan = replace(plan, identity={**identity(), **plan.identity})
+    return spread_in_order(task, range(count), plan, here=here, on_progress=spread.tell)
+
+
 def outcomes_here(search: SearchProblem, accept: Accept | None) -> Generator[StartOutcome]:
     """Yield the outcome of each start, computed on demand in this process."""
     for number in range(start_count(search)):
@@ -52,35 +91,23 @@ def outcomes_here(search: SearchProblem, accept: Accept | None) -> Generator[Sta
 def outcomes_spread(
     search: SearchProblem, accept: Accept | None, spread: StartWorkers
 ) -> Generator[StartOutcome]:
-    """Yield the outcome of each start in order: first from this process, then from workers.
-
-    Most searches end at their first start, before workers could begin.
+    """Yield the outcome of each start in order, as `results_in_order`.
 
     Args:
         search: The search.
         accept: Check of an orbit. By default all orbits are accepted.
         spread: The workers, and the checkpoint of finished starts.
-
-    Raises:
-        InputError: If the workers load another problem, the executor is not available, or the
-            checkpoint belongs to another search.
-        WorkError: If the work cannot be finished.
     """
-    if spread.problem_file.load() is not search.problem:
-        wanted = "must be the problem that the workers of `spread` load"
-        raise InputError(f"Argument `problem` {wanted}, but it is another `{search.problem.name}`.")
     search = scanned(search, 0)
     question = search.question()
     task = _Task(problem_file=spread.problem_file, question=question, accept=accept)
-    plan = replace(spread.plan, chunk=1, noun="starts at most")
-    if plan.checkpoint is not None:
-        plan = replace(plan, identity={**_identity(task), **plan.identity})
-    results = spread_in_order(
+    results = results_in_order(
         task,
-        range(start_count(search)),
-        plan,
+        start_count(search),
+        spread,
+        problem=search.problem,
         here=lambda numbers: task.outcomes(search, numbers),
-        on_progress=spread.tell,
+        identity=lambda: _identity(task),
     )
     try:
         for result in results:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zeno_orbits import api
@@ -10,7 +11,9 @@ from zeno_orbits.cli.options import (
     NO,
     YES,
     numbers_of,
+    place_of,
     print_json,
+    run_resumable,
     say_written,
 )
 from zeno_orbits.cli.outputs import JSON, require_outputs
@@ -18,17 +21,10 @@ from zeno_orbits.cli.parsing import over_ranges, read_wish, require_starts_insid
 from zeno_orbits.cli.search_output import lacking_orbits, ranking
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
+from zeno_orbits.work import ExecutionPlan
 
 if TYPE_CHECKING:
     import zeno_orbits as zo
-
-_SEARCH = {
-    "shape": "--shape",
-    "scheduler": "--scheduler",
-    "checkpoint": "--checkpoint",
-    "states": "--states",
-}
-"""Options of `search` that need a machine with one stop, by their names in the namespace."""
 
 _ABOUT_IMPACTS = ("impacts", "bounce")
 """Words of the objectives of orbits of events alone."""
@@ -45,14 +41,14 @@ _VERIFY = {
 def asks_for_events(options: argparse.Namespace) -> bool:
     """Return True if a wish needs an orbit of events: a bound such as ``stop.impact_speed``.
 
-    A chosen method also needs it.
+    A chosen method or section also needs it.
 
     Args:
         options: The command line.
     """
     words = (*_ABOUT_IMPACTS, *(_OVER_RANGES if options.uncertain else ()))
     about = options.objective is not None and options.objective.word in words
-    about |= options.method is not None
+    about |= options.method is not None or options.section is not None
     return about or any("." in name for name in options.bounds)
 
 
@@ -66,12 +62,10 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
         problem: A problem with several stops or switches, or one with a wish about events.
 
     Raises:
-        InputError: If an option needs a machine with one stop.
         SimulationError: If no motion settles.
     """
     import zeno_orbits as zo
 
-    _refuse(options, _SEARCH)
     require_outputs(options, {"output": JSON})
     varies = options.vary or options.objective or options.bounds or options.uncertain
     varies = varies or options.method
@@ -84,6 +78,7 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
             near=options.near,
             start=options.start or None,
             section=options.section,
+            shape=options.shape,
             until=options.until,
             settings=api.simulation_settings(options.engine),
             on_progress=progress,
@@ -95,17 +90,24 @@ def search_events(options: argparse.Namespace, problem: zo.Problem) -> int:
     if options.json:
         print_json(orbit.as_json())
         return YES if passes else NO
-    report.print_event_orbit(orbit, certificate)
-    _say_output(options, certificate, passes=passes)
+    _print_orbit(options, orbit, certificate, passes=passes)
     if options.accuracy is not None:
         report.print_error_estimate(certificate.orbit_error)
     return YES if passes else NO
 
 
+def _print_orbit(
+    options: argparse.Namespace, orbit: zo.Orbit, certificate: zo.OrbitCertificate, *, passes: bool
+) -> None:
+    """Print an orbit with its verdict, where it was written, and its states if they are asked."""
+    report.print_event_orbit(orbit, certificate)
+    _say_output(options, certificate, passes=passes)
+    if options.states:
+        report.print_event_states(orbit)
+
+
 def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: bool) -> int:
     """Find the best orbits in given ranges, verify and print them, and return the exit code."""
-    import zeno_orbits as zo
-
     numbers = numbers_of(problem, options)
     free = {**api.free_gains(problem, numbers["gains"] or {}), **options.vary} if varies else {}
     require_starts_inside(options.set, free)
@@ -113,9 +115,11 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
     objective = wish.objective(problem, free)
     if options.uncertain or wish.word == "robustness":
         objective = over_ranges(wish, objective, options.uncertain)
-    with report.ProgressLine(options.interrupts.check) as progress:
-        result = api.search_event_gains(
-            problem,
+    place = place_of(options)
+
+    def work(checkpoint: Path | None, progress: report.ProgressLine) -> zo.EventSearchResult:
+        return api.search_event_gains(
+            options.problem,
             vary=free,
             **numbers,
             near=options.near,
@@ -123,6 +127,7 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
             objective=objective,
             bounds=tuple(options.bounds.values()),
             section=options.section,
+            shape=options.shape,
             until=options.until,
             n_starts=options.starts,
             seed=options.seed,
@@ -130,8 +135,21 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
             method=None if options.method is None else api.search_method(options.method),
             allow_unstable=options.allow_unstable,
             settings=api.simulation_settings(options.engine),
+            plan=ExecutionPlan(place=place, checkpoint=checkpoint),
             on_progress=progress,
         )
+
+    def finish(result: zo.EventSearchResult) -> int:
+        return _answer(options, result, varies=bool(free))
+
+    # With nothing free there is one start, which is done or not.
+    return run_resumable(options, work, finish, keep=bool(free))
+
+
+def _answer(options: argparse.Namespace, result: zo.EventSearchResult, *, varies: bool) -> int:
+    """Print the result of a search, write its orbit, and return the exit code."""
+    import zeno_orbits as zo
+
     orbit, certificate = result.orbit, result.certificate
     if orbit is None or certificate is None:
         if options.json:
@@ -147,11 +165,10 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
         told = {"notes": lacking} if lacking else {}
         print_json(orbit.as_json() | {"search": result.as_json()} | ranking(options, result) | told)
         return YES if passes else NO
-    report.print_event_orbit(orbit, certificate)
-    _say_output(options, certificate, passes=passes)
+    _print_orbit(options, orbit, certificate, passes=passes)
     if result.candidates:
         report.print_candidates(result)
-    if free:
+    if varies:
         report.print_event_search(result)
     report.print_lines(lacking)
     if options.accuracy is not None:
@@ -194,6 +211,6 @@ def _refuse(options: argparse.Namespace, names: dict[str, str]) -> None:
 def needs_one_stop(option: str) -> str:
     """Return the message that refuses an option for orbits of events."""
     return (
-        f"Option `{option}` needs a machine with one stop, no switch and no kink, and no objective "
-        "or bound about impacts, in this version: leave it out."
+        f"Option `{option}` needs a machine with one stop, no switch and no kink, in this version: "
+        "leave it out."
     )

@@ -33,7 +33,6 @@ from zeno_orbits.cli.parsing import (
     require_starts_inside,
 )
 from zeno_orbits.cli.search_output import answer
-from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import ExecutionPlan
 
@@ -92,9 +91,7 @@ def add_search(commands: Any) -> None:
     add_accuracy(parser)
     add_place(parser)
     _add_effort(parser)
-    parser.add_argument(
-        "--states", action="store_true", help="print every state at release and Zeno point"
-    )
+    parser.add_argument("--states", action="store_true", help="print every state at every event")
     parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
 
 
@@ -154,8 +151,7 @@ def _add_motion(parser: argparse.ArgumentParser) -> None:
     add_shared(
         parser,
         "section",
-        ", such as 'zeno NAME' or 'switch NAME', for a machine with several stops or switches "
-        "(default: chosen)",
+        ", such as 'zeno NAME' or 'switch NAME'; a stop without a name is `stop` (default: chosen)",
     )
 
 
@@ -186,9 +182,6 @@ def _run_search(options: argparse.Namespace) -> int:
     problem = api.known_problem(options.problem)
     if problem.has_graph or asks_for_events(options):
         return search_events(options, problem)
-    if options.section is not None:
-        message = "needs a machine with several stops or switches: leave it out"
-        raise InputError(f"Option `--section` {message}.")
     near = None if options.near is None else api.as_orbit(options.near)
     gains, parameters = api.split_numbers(problem, options.set)
     free = {**api.free_gains(problem), **options.vary}

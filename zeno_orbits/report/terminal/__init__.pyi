@@ -14,6 +14,7 @@ from .orbits import print_certificate as print_certificate
 from .orbits import print_engine as print_engine
 from .orbits import print_error_estimate as print_error_estimate
 from .orbits import print_event_orbit as print_event_orbit
+from .orbits import print_event_states as print_event_states
 from .orbits import print_execution as print_execution
 from .orbits import print_orbit as print_orbit
 from .orbits import print_summary as print_summary

@@ -25,7 +25,7 @@ from zeno_orbits.report.terminal.console import line_width, print_lines, print_t
 
 if TYPE_CHECKING:
     from zeno_orbits.model import Problem
-    from zeno_orbits.orbits import Orbit, OrbitPhase
+    from zeno_orbits.orbits import Orbit, OrbitEvent, OrbitPhase
     from zeno_orbits.precision import ExecutionWithError
     from zeno_orbits.simulation import Event
     from zeno_orbits.verification import DeltaCut, OrbitCertificate
@@ -273,6 +273,23 @@ def print_event_orbit(orbit: Orbit, certificate: OrbitCertificate) -> None:
     state = ", ".join(f"{name}={value:.10g}" for name, value in orbit.start_state.items())
     print_lines([f"Start, just after `{orbit.events[-1].name}`:", f"  {state}", ""])
     print_verdict(certificate)
+
+
+def print_event_states(orbit: Orbit) -> None:
+    """Print every state just before every event of an orbit.
+
+    Args:
+        orbit: The orbit.
+    """
+    columns: list[Column[OrbitEvent]] = [
+        text_column("before", lambda event: event.name),
+        *(_before_column(name) for name in orbit.start_state),
+    ]
+    print_table(columns, orbit.events)
+
+
+def _before_column(name: str) -> Column[OrbitEvent]:
+    return number_column(name, lambda event: f"{event.state[name]:.10g}")
 
 
 _SHOWN = {
