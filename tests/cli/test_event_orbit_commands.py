@@ -163,8 +163,8 @@ def test_starts_of_a_machine_of_events_are_kept_and_taken_up() -> None:
     kept = ask(*words, "--workers", "2", "--checkpoint", "kept")
     again = ask(*words, "--workers", "1", "--checkpoint", "kept")
     assert plain.data == kept.data == again.data
-    other = ask(*words[:3], "a=16:40", *words[4:], "--checkpoint", "kept")
-    assert_refused(other, "kept", "a")
+    other = ask(*words[:3], "a=16:40", *words[4:-1], "--checkpoint", "kept")
+    assert_refused(other, "--checkpoint kept", "`free.a`")
 
 
 def test_a_section_of_a_machine_with_one_stop_is_chosen() -> None:

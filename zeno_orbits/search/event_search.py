@@ -192,10 +192,11 @@ class _Task:
             "problem_digest": self.problem_file.digest,
             "gains": to_plain(origin.gains),
             "parameters": to_plain(origin.parameters),
-            "places": [to_plain(place.numbers) for place in self.places],
             "start": to_plain(self.start),
             "from": to_plain(question.pop("near")),
             **{name: to_plain(value, name) for name, value in question.items()},
+            # They follow from the ranges, the number of starts and the seed.
+            "places": [to_plain(place.numbers) for place in self.places],
             "simulator": simulator_in_use(),
             "versions": versions(),
         }
