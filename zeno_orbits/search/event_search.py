@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,11 @@ from zeno_orbits.search.settings import SearchMethod
 from zeno_orbits.search.validation import check_bounds, check_objective
 from zeno_orbits.simulation import SimulationSettings, simulator_in_use
 from zeno_orbits.work import FailedPoint, Progress, silent, to_plain, versions
+
+_LOCAL = (
+    "One start led there, so the optimum may be local: 3 candidates (`candidates`, --candidates) "
+    "take more starts."
+)
 
 
 def search_event_orbits(
@@ -115,13 +120,22 @@ def search_event_orbits(
         trouble: ZenoOrbitsError | None = None
         for end in ends:
             if end.result is not None:
-                return end.result
+                return _told(end.result, several=len(places) > 1)
             trouble = end.error
             if not isinstance(trouble, SimulationError):
                 break
     if trouble is None:
         raise AssertionError("A search has a first place.")
     raise trouble
+
+
+def _told(result: EventSearchResult, *, several: bool) -> EventSearchResult:
+    """Return the result of one start, with a remark if further starts may lead to a better one."""
+    objective = result.objective
+    is_best = not result.is_measured or result.score <= objective.least
+    if result.orbit is None or is_best or not several:
+        return result
+    return replace(result, remarks=(*result.remarks, _LOCAL))
 
 
 def _ends_spread(

@@ -260,7 +260,8 @@ class EventSearchResult:
         n_states: Number of initial states in the search for other attractors at the best values.
         method: The method that found the optimum. Never `SearchMethod.AUTO`.
         iterations: Number of iterations of Ipopt.
-        remarks: What one method says about the optimum of the other one, as sentences.
+        remarks: What one method says about the optimum of the other one, and whether the optimum
+            may be local, as sentences.
     """
 
     orbit: Orbit | None
