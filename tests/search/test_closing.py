@@ -36,11 +36,11 @@ from zeno_orbits.orbits import (
 from zeno_orbits.search import (
     OrbitNotClosedError,
     SearchStatus,
-    limits,
     orbit_at_gains,
     orbit_by_shooting,
     search_orbits,
 )
+from zeno_orbits.search.closing.limits import beyond_limits
 from zeno_orbits.simulation import SimulationSettings, Truncation, simulate
 from zeno_orbits.verification import VerificationSettings, multipliers_of, verify
 
@@ -371,7 +371,7 @@ def test_a_period_goes_beyond_an_escape_on_either_side_and_on_any_arc(problem: P
         return SimpleNamespace(arcs=[SimpleNamespace(flow_states=flow) for flow in flows])
 
     def beyond(*places: tuple[float, float]) -> str:
-        return limits.beyond_limits(strict, of(*places).arcs)
+        return beyond_limits(strict, of(*places).arcs)
 
     assert beyond((2.0, 3.0), (-2.0, -3.0)) == ""
     first = beyond((0.0, -3.25), (2.5, 0.0))

@@ -30,14 +30,14 @@ from zeno_orbits.search import (
     Verdict,
     search_orbits,
 )
-from zeno_orbits.search import multistart as starts
 from zeno_orbits.verification import verify
-from zeno_orbits.work import ExecutionPlan, FailedPoint, Workers, to_plain
+from zeno_orbits.work import ExecutionPlan, FailedPoint, Workers, spread_in_order, to_plain
 from zeno_orbits.work import scheduling as spreading_module
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 CORES = int(joblib.cpu_count())
 PROBLEM = "vibrating_table"
+STARTS = "zeno_orbits.search.starts.multistart"
 FREE = {"restitution": (0.2, 0.5)}
 TABLE = ("search", PROBLEM, "--vary", "restitution=0.2:0.5")
 """A search whose every start finds an orbit."""
@@ -173,13 +173,11 @@ def test_a_seed_repeats_its_starts_and_another_has_others() -> None:
 def test_a_start_that_kills_every_worker_is_a_failure_by_name(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    spread_in_order = starts.spread_in_order
-
     def lose_the_second(*arguments: Any, **named: Any) -> Iterator[Any]:
         for k, result in enumerate(spread_in_order(*arguments, **named)):
             yield FailedPoint() if k == 1 else result
 
-    monkeypatch.setattr(starts, "spread_in_order", lose_the_second)
+    monkeypatch.setattr(f"{STARTS}.spread_in_order", lose_the_second)
     result = search(Workers(count=1))
     found = [attempt.status is SearchStatus.FOUND for attempt in result.attempts]
     assert found == [True, False, True]
@@ -199,7 +197,7 @@ def test_what_is_finished_is_not_tried_again(
     def refuse(*_: Any) -> None:
         raise OSError("it is tried again")
 
-    monkeypatch.setattr(starts, "try_start", refuse)
+    monkeypatch.setattr(f"{STARTS}.try_start", refuse)
     monkeypatch.setattr(spreading_module, "open_pool", refuse)
     assert ask(*BALL, "--checkpoint", folder, "--json").data == told
     assert contents(folder) == before
@@ -286,7 +284,7 @@ def test_an_interrupt_keeps_the_starts_that_are_finished(
 def test_a_place_that_cannot_be_had_is_refused_even_if_one_start_would_do(
     place: tuple[str, ...], told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    refuses(monkeypatch, (*TABLE, *place), told, work_of="zeno_orbits.search.multistart.try_start")
+    refuses(monkeypatch, (*TABLE, *place), told, work_of=f"{STARTS}.try_start")
 
 
 def test_a_problem_that_workers_would_not_see_is_refused() -> None:

@@ -12,14 +12,14 @@ import numpy as np
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem, ProblemFile
 from zeno_orbits.orbits import Bound, EventSequence, Orbit
-from zeno_orbits.search.candidates import StartEnd, end_of_start, ranked_candidates
-from zeno_orbits.search.closing import require_no_other_start
-from zeno_orbits.search.gains import GainSearch
-from zeno_orbits.search.multistart import StartWorkers, results_in_order
+from zeno_orbits.search.closing.closing import require_no_other_start
 from zeno_orbits.search.objectives import NearestGains, Objective
+from zeno_orbits.search.optimum.gains import GainSearch
 from zeno_orbits.search.outcome import Accept, EventSearchResult
 from zeno_orbits.search.search_problem import clipped
 from zeno_orbits.search.settings import SearchMethod
+from zeno_orbits.search.starts.candidates import StartEnd, end_of_start, ranked_candidates
+from zeno_orbits.search.starts.multistart import StartWorkers, results_in_order
 from zeno_orbits.search.validation import check_bounds, check_objective
 from zeno_orbits.simulation import SimulationSettings, simulator_in_use
 from zeno_orbits.work import FailedPoint, Progress, silent, to_plain, versions

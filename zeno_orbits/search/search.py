@@ -12,8 +12,6 @@ import numpy as np
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, EventSequence, Orbit
-from zeno_orbits.search.candidates import has_last_event
-from zeno_orbits.search.multistart import StartWorkers, outcomes_here, outcomes_spread
 from zeno_orbits.search.objectives import NearestGains, Objective, Target, TargetPeriod
 from zeno_orbits.search.outcome import (
     Accept,
@@ -22,9 +20,11 @@ from zeno_orbits.search.outcome import (
     StartAttempt,
     StartOutcome,
 )
-from zeno_orbits.search.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close
 from zeno_orbits.search.search_problem import SearchProblem, with_targets
 from zeno_orbits.search.settings import SearchSettings, SearchStatus
+from zeno_orbits.search.starts.candidates import has_last_event
+from zeno_orbits.search.starts.multistart import StartWorkers, outcomes_here, outcomes_spread
+from zeno_orbits.search.starts.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close
 from zeno_orbits.search.validation import check_search
 from zeno_orbits.work import Progress, silent
 
@@ -122,7 +122,7 @@ def search_orbits(
 def _require_reach(search: SearchProblem) -> None:
     """Refuse a target that no orbit comes near to."""
     if isinstance(search.objective, TargetPeriod) and search.free:
-        from zeno_orbits.search.scan import require_period_in_reach
+        from zeno_orbits.search.starts.scan import require_period_in_reach
 
         require_period_in_reach(search, search.objective)
 
@@ -184,8 +184,8 @@ def _with_coexisting(
 
     The attractors are computed at the values of the best candidate.
     """
-    from zeno_orbits.search.coexisting import N_STATES, coexisting_orbits
-    from zeno_orbits.search.start import try_orbit
+    from zeno_orbits.search.starts.coexisting import N_STATES, coexisting_orbits
+    from zeno_orbits.search.starts.start import try_orbit
 
     best = min(candidates, key=lambda one: one.score).orbit
     search.tell("looking for other attractors from other initial states")
@@ -214,7 +214,7 @@ def _has_start_of(search: SearchProblem, orbit: Orbit, other: Orbit) -> bool:
 
 def _summary(search: SearchProblem) -> str:
     """Return the attractors all over the box, as a sentence."""
-    from zeno_orbits.search.scan import scan_summary
+    from zeno_orbits.search.starts.scan import scan_summary
 
     return scan_summary(search)
 

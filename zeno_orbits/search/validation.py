@@ -28,9 +28,9 @@ from zeno_orbits.search.objectives import (
     Objective,
     TargetPeriod,
 )
-from zeno_orbits.search.points import DIFFERENCED
+from zeno_orbits.search.optimum.points import DIFFERENCED
 from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.search.strategy import simulated
+from zeno_orbits.search.starts.strategy import simulated
 from zeno_orbits.simulation import steady_turn
 
 

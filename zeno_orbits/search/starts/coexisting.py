@@ -20,9 +20,9 @@ from zeno_orbits.model import (
     Problem,
 )
 from zeno_orbits.orbits import EventReturn, Orbit
-from zeno_orbits.search.closing import settled_return
-from zeno_orbits.search.scan import ACCURACY
+from zeno_orbits.search.closing.closing import settled_return
 from zeno_orbits.search.search_problem import SearchProblem
+from zeno_orbits.search.starts.scan import ACCURACY
 from zeno_orbits.simulation import Execution, simulate
 
 N_STATES = 24

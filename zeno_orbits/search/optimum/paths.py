@@ -31,8 +31,8 @@ from zeno_orbits.orbits import (
     section_of_family,
     sequence_of,
 )
-from zeno_orbits.search.line import Followed, LinePoint, follow_line, values_on_line
-from zeno_orbits.search.points import OrbitAtValues, OrbitsOverValues
+from zeno_orbits.search.closing.line import Followed, LinePoint, follow_line, values_on_line
+from zeno_orbits.search.optimum.points import OrbitAtValues, OrbitsOverValues
 from zeno_orbits.work import Progress, silent
 
 TO_LOSS = StepControl(first=0.05, longest=0.05, shortest=1e-5)

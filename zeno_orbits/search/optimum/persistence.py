@@ -23,7 +23,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues
 from zeno_orbits.orbits import EventReturn
-from zeno_orbits.search.paths import TO_LOSS, OrbitPaths
+from zeno_orbits.search.optimum.paths import TO_LOSS, OrbitPaths
 from zeno_orbits.simulation import Extent
 
 _DIFFERENCE = 0.02

@@ -38,7 +38,7 @@ from zeno_orbits.orbits import (
     sequence_of,
     start_by_parameters,
 )
-from zeno_orbits.search.closing import indices_of, settled_return
+from zeno_orbits.search.closing.closing import indices_of, settled_return
 from zeno_orbits.search.objectives import LEAST_RADIUS, OfImpacts, Target, TargetAmplitude
 from zeno_orbits.simulation import Extent, SimulationSettings
 from zeno_orbits.verification import EVENT_MARGINS, SHARE, measured_margin

@@ -29,9 +29,9 @@ from zeno_orbits.orbits import (
     orbit_of_events,
     shape_of_events,
 )
-from zeno_orbits.search.limits import beyond_limits, named
-from zeno_orbits.search.line import LinePoint, follow_line, values_on_line
-from zeno_orbits.search.settling import Wanted, settled_from
+from zeno_orbits.search.closing.limits import beyond_limits, named
+from zeno_orbits.search.closing.line import LinePoint, follow_line, values_on_line
+from zeno_orbits.search.closing.settling import Wanted, settled_from
 from zeno_orbits.simulation import SimulationSettings, state_after, state_before
 from zeno_orbits.work import Progress, silent
 

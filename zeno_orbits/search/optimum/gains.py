@@ -30,7 +30,7 @@ from zeno_orbits.orbits import (
     objection_to,
     orbit_event_name,
 )
-from zeno_orbits.search.closing import (
+from zeno_orbits.search.closing.closing import (
     event_orbit_of,
     return_near,
     settled_return,
@@ -52,11 +52,16 @@ from zeno_orbits.search.objectives import (
     WorstCase,
     corners_of,
 )
-from zeno_orbits.search.optimum import PRECISION, Optimum, Sample, along_edges, least_worst
-from zeno_orbits.search.outcome import Accept, EventSearchResult
-from zeno_orbits.search.paths import TO_VALUES, OrbitPaths
-from zeno_orbits.search.persistence import widest
-from zeno_orbits.search.points import (
+from zeno_orbits.search.optimum.least_worst import (
+    PRECISION,
+    Optimum,
+    Sample,
+    along_edges,
+    least_worst,
+)
+from zeno_orbits.search.optimum.paths import TO_VALUES, OrbitPaths
+from zeno_orbits.search.optimum.persistence import widest
+from zeno_orbits.search.optimum.points import (
     DIFFERENCED,
     RADIUS,
     NoEventError,
@@ -64,11 +69,12 @@ from zeno_orbits.search.points import (
     OrbitsOverValues,
     Slope,
 )
+from zeno_orbits.search.optimum.strength import strongest
+from zeno_orbits.search.outcome import Accept, EventSearchResult
 from zeno_orbits.search.program.rounds import ProgramTask, orbit_by_program
 from zeno_orbits.search.program.terms import lacking_terms, signals_of
 from zeno_orbits.search.search_problem import listed
 from zeno_orbits.search.settings import SearchMethod
-from zeno_orbits.search.strength import strongest
 from zeno_orbits.simulation import Extent, SimulationSettings
 from zeno_orbits.work import Progress, silent
 

@@ -15,14 +15,14 @@ from zeno_orbits.orbits import (
     orbit_event_name,
     shortest_return,
 )
-from zeno_orbits.search.closing import event_orbit_of, return_near, settled_return
-from zeno_orbits.search.gains import BestOrbit, GainSearch
-from zeno_orbits.search.limits import beyond_limits
-from zeno_orbits.search.line import Followed
+from zeno_orbits.search.closing.closing import event_orbit_of, return_near, settled_return
+from zeno_orbits.search.closing.limits import beyond_limits
+from zeno_orbits.search.closing.line import Followed
 from zeno_orbits.search.objectives import MaxMargin, MaxPush, NearestGains
+from zeno_orbits.search.optimum.gains import BestOrbit, GainSearch
+from zeno_orbits.search.optimum.paths import TO_VALUES, OrbitPaths
+from zeno_orbits.search.optimum.points import OrbitsOverValues
 from zeno_orbits.search.outcome import SimulatedOrbit, StartOutcome
-from zeno_orbits.search.paths import TO_VALUES, OrbitPaths
-from zeno_orbits.search.points import OrbitsOverValues
 from zeno_orbits.search.program.agreement import Agreement, agreement_of
 from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.settings import SearchStatus

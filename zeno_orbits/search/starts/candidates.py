@@ -15,17 +15,17 @@ import numpy as np
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import EventReturn, Orbit, orbit_event_name
-from zeno_orbits.search.closing import return_near
-from zeno_orbits.search.gains import GainSearch
+from zeno_orbits.search.closing.closing import return_near
 from zeno_orbits.search.objectives import NearestGains, Objective
+from zeno_orbits.search.optimum.gains import GainSearch
 from zeno_orbits.search.outcome import (
     Accept,
     EventCandidate,
     EventSearchResult,
     StartAttempt,
 )
-from zeno_orbits.search.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close
 from zeno_orbits.search.settings import SearchStatus
+from zeno_orbits.search.starts.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close
 from zeno_orbits.simulation import state_before
 from zeno_orbits.work import from_plain, to_plain
 
@@ -125,7 +125,7 @@ def ranked_candidates(
         ZenoOrbitsError: If no start leads to an orbit, the reason of the last start.
     """
     # Most searches need no scan of states.
-    from zeno_orbits.search.coexisting import N_STATES, coexisting_attractors
+    from zeno_orbits.search.starts.coexisting import N_STATES, coexisting_attractors
 
     ranking, problem = _Ranking(search), search.problem
     for place, end in zip(places, ends, strict=False):

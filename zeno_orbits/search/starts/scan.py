@@ -25,9 +25,9 @@ from zeno_orbits.orbits import (
     event_return,
     objection_to,
 )
-from zeno_orbits.search.closing import settled_return
+from zeno_orbits.search.closing.closing import settled_return
 from zeno_orbits.search.objectives import Target, TargetPeriod
-from zeno_orbits.search.points import OrbitAtValues
+from zeno_orbits.search.optimum.points import OrbitAtValues
 from zeno_orbits.search.search_problem import SearchProblem, clipped
 from zeno_orbits.simulation import Extent, SimulationSettings, ZenoExtrapolation, simulate
 

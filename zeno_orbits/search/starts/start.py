@@ -7,14 +7,14 @@ from dataclasses import replace
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, EventReturn, Orbit, objection_to
-from zeno_orbits.search.closing import event_orbit_of
+from zeno_orbits.search.closing.closing import event_orbit_of
 from zeno_orbits.search.number_notes import far_from_own
 from zeno_orbits.search.objectives import MaxPush, NearestGains
+from zeno_orbits.search.optimum.strength import orbits_at_corners
 from zeno_orbits.search.outcome import Accept, Candidate, SimulatedOrbit, StartOutcome, Verdict
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.strategy import SearchStart, from_orbit, from_start, paths_of
-from zeno_orbits.search.strength import orbits_at_corners
+from zeno_orbits.search.starts.strategy import SearchStart, from_orbit, from_start, paths_of
 
 
 def start_count(search: SearchProblem) -> int:
@@ -32,7 +32,7 @@ def scanned(search: SearchProblem, number: int) -> SearchProblem:
     if search.order is not None or not (number > 0 or search.seeks_optimum):
         return search
     # Most searches end at their first start, before the import of the scan would be finished.
-    from zeno_orbits.search.scan import start_order
+    from zeno_orbits.search.starts.scan import start_order
 
     search.tell("simulating points of the whole box")
     return replace(search, order=start_order(search))
@@ -47,7 +47,7 @@ def numbered_start(search: SearchProblem, number: int) -> SearchStart:
     """
     place = number if search.order is None else search.order[number]
     if place > 0:
-        from zeno_orbits.search.scan import start_place
+        from zeno_orbits.search.starts.scan import start_place
 
         return SearchStart(values=start_place(search, place))
     values = clipped(search.values, search.free)

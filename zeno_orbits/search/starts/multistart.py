@@ -11,7 +11,7 @@ from zeno_orbits.model import Problem, ProblemFile
 from zeno_orbits.search.outcome import Accept, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.start import scanned, start_count, try_start
+from zeno_orbits.search.starts.start import scanned, start_count, try_start
 from zeno_orbits.simulation import simulator_in_use
 from zeno_orbits.work import (
     ExecutionPlan,

@@ -24,10 +24,10 @@ from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.maps import Push, PushSettings, least_push
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import EventReturn, Orbit
-from zeno_orbits.search.closing import event_orbit_of
+from zeno_orbits.search.closing.closing import event_orbit_of
 from zeno_orbits.search.objectives import MaxPush
+from zeno_orbits.search.optimum.paths import TO_VALUES, OrbitPaths
 from zeno_orbits.search.outcome import said_of
-from zeno_orbits.search.paths import TO_VALUES, OrbitPaths
 from zeno_orbits.search.search_problem import listed
 from zeno_orbits.simulation import Extent
 
