@@ -304,7 +304,7 @@ def test_a_motion_that_never_leaves_its_stop_stays_on_it_and_neither_settles_nor
     (found,) = attractors_at(bowl, [bowl.values(parameters={"A": 1e-3})], until=6.0)
     assert found.fate is AttractorClass.HELD
     assert math.isnan(found.trend)
-    assert found.phrase == "stays on its stop"
+    assert found.phrase == "permanent contact"
 
 
 def test_a_linear_machine_settles_alike_however_hard_it_is_shaken():

@@ -71,6 +71,18 @@ class SearchNotes:
         return number_notes.at_ends(problem, orbit.values(problem), self.free, goal)
 
 
+def unit_notes(problem: Problem, numbers: Mapping[str, float]) -> list[str]:
+    """Return a sentence for each given value that is 100 times the problem's own, or a part.
+
+    Args:
+        problem: The problem.
+        numbers: Name to value of gains and parameters.
+    """
+    from zeno_orbits.search import far_from_own
+
+    return far_from_own(problem, problem.values().replaced(numbers))
+
+
 def search_notes(
     problem: Problem,
     values: ParameterValues,

@@ -20,7 +20,7 @@ class AttractorClass(Enum):
     SIMPLE = SIMPLE_ORBIT
     NO_ZENO = NO_ZENO_ORBIT
     REST = "rest"
-    HELD = "stays on its stop"
+    HELD = "permanent contact"
     ESCAPE = "a coordinate runs away"
     UNSETTLED = "not settled yet"
     FAILED = "simulation failed"
@@ -52,14 +52,15 @@ class Attractor:
             impact, at a plastic stop.
         returns: Number of releases per period: 1 for a period-1 orbit, 2 after a period doubling, 0
             without releases.
-        period: Time after which the motion repeats [s]. NaN if it does not repeat.
+        period: Time after which the motion repeats [s], also in permanent contact. NaN if it does
+            not repeat.
         multipliers: Floquet multipliers over the period, the largest first.
         margins: Name to distance to a loss of the orbit's shape, as in a certificate.
         state: State at the release (or impact) at which the period starts, by name.
         escaped: Name of the diverging coordinate.
         trend: Growth factor of the motion per period, if it neither repeats nor has decayed. NaN if
             it is unknown.
-        detail: Further explanation of the fate, as text.
+        detail: Further explanation of the fate, as text, such as the stops of permanent contact.
         kind: Kind of the motion. For a motion that has not converged, it is quasi-periodic, chaotic
             or growing.
         turns: Number of turns of the clock per period. 0 without a clock or a period.
@@ -102,6 +103,8 @@ class Attractor:
             turns = f", {self.turns} turns" if self.turns > 1 else ""
             number = f", number {self.number}" if self.number else ""
             return f"{self.fate.value}{period}{turns}{number}"
+        if self.fate is AttractorClass.HELD:
+            return f"{self.fate.value}, {self.turns} turns" if self.turns > 1 else self.fate.value
         if self.fate is AttractorClass.ESCAPE:
             return self.detail or f"{self.escaped} runs away"
         if self.fate is AttractorClass.UNSETTLED and self.kind in _IRREGULAR:

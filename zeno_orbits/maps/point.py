@@ -468,9 +468,35 @@ class Point:
             return None
         if found.kind is not AttractorKind.REPEATS:
             return None
+        return self._eventless(found.turns, turn, piece.state)
+
+    def _eventless(self, turns: int, turn: float, state: Vector) -> Attractor:
+        """Return the attractor of a motion that repeats without events.
+
+        Args:
+            turns: Number of turns of the clock in a period.
+            turn: Time of a turn [s].
+            state: A state of the motion, ``(n_x,)``.
+        """
+        stops = self._in_contact()
+        fate = AttractorClass.HELD if stops else AttractorClass.NO_ZENO
         return Attractor(
-            fate=AttractorClass.NO_ZENO, period=found.turns * turn, state=self._named(piece.state)
+            fate=fate,
+            period=turns * turn,
+            state=self._named(state),
+            detail=self._where(stops),
         )
+
+    def _in_contact(self) -> list[str]:
+        """Return the names of the stops that are closed at the end of the motion so far."""
+        closed = () if self._piece is None else self._piece.mode[0]
+        return [self._graph.stop_names[k] for k in closed]
+
+    def _where(self, stops: Sequence[str]) -> str:
+        """Return the stops of permanent contact as text. A single stop needs no name."""
+        if not stops or len(self._graph.stop_names) == 1:
+            return ""
+        return f"contact on {', '.join(f'`{name}`' for name in stops)}"
 
     def _ended(self, event: MotionEnd) -> Attractor:
         """Return the attractor at the end of the observation."""
@@ -492,7 +518,9 @@ class Point:
         """Classify a motion that stays in contact."""
         visits = self._visits.get(self._section)
         dies_out = visits and self._settling(visits).outcome is AttractorKind.DIES_OUT
-        return Attractor(fate=AttractorClass.REST if dies_out else AttractorClass.HELD)
+        if dies_out:
+            return Attractor(fate=AttractorClass.REST)
+        return Attractor(fate=AttractorClass.HELD, detail=self._where(self._in_contact()))
 
     def _at_last(self, state: Vector) -> Attractor:
         """Classify a motion that was simulated to its time limit."""
@@ -509,9 +537,7 @@ class Point:
             return self._unclosed(events, found.cycle.period, np.asarray(events[-1].after))
         if found.kind is AttractorKind.REPEATS:
             turn = clock_turn(self._graph.first, state) or math.nan
-            return Attractor(
-                fate=AttractorClass.NO_ZENO, period=found.turns * turn, state=self._named(state)
-            )
+            return self._eventless(found.turns, turn, state)
         exponent = found.exponent
         return Attractor(
             fate=AttractorClass.UNSETTLED,

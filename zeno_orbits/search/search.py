@@ -151,6 +151,8 @@ def _ranked(
                 break
             if not candidates and failures >= _enough_failures(search):
                 break
+            if len(attempts) >= _TRIED and not candidates and _only_contact(search, attempts):
+                break
     n_states = 0
     if candidates and (search.settings.candidates > 1 or search.seeks_optimum):
         candidates, n_states = _with_coexisting(search, candidates, accept)
@@ -212,6 +214,15 @@ def _has_start_of(search: SearchProblem, orbit: Orbit, other: Orbit) -> bool:
     )
 
 
+def _only_contact(search: SearchProblem, attempts: Sequence[StartAttempt]) -> bool:
+    """Return True if no start led to an orbit and every point of the scan stays in contact."""
+    if not search.free or any(one.status is not SearchStatus.NO_GUESS for one in attempts):
+        return False
+    from zeno_orbits.search.scan import stays_in_contact
+
+    return stays_in_contact(search)
+
+
 def _summary(search: SearchProblem) -> str:
     """Return the attractors all over the box, as a sentence."""
     from zeno_orbits.search.starts.scan import scan_summary
@@ -219,6 +230,9 @@ def _summary(search: SearchProblem) -> str:
     return scan_summary(search)
 
 
+_TRIED = 2
+"""Starts that are made even if every point of the scan stays in contact: the given values, by
+simulation and by continuation."""
 _AGREE = 2
 """Number of starts that must lead to the same optimum."""
 _MOST_TRIED = 4

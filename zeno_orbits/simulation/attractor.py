@@ -80,7 +80,7 @@ class AttractorKind(Enum):
     QUASI_PERIODIC = "is quasi-periodic"
     CHAOTIC = "is chaotic"
     RESTS = "comes to rest"
-    HELD = "stays on its stop"
+    HELD = "stays in permanent contact"
     DIES_OUT = "decays"
     GROWS = "grows"
     GONE = "runs away"

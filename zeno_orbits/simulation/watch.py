@@ -47,7 +47,7 @@ class Reason(Enum):
     HORIZON = "the end of the time was reached"
     ESCAPE = "a coordinate left its bounds"
     REST = "it came to rest"
-    HELD = "it stays on its stop"
+    HELD = "it stays in permanent contact"
     FAILURE = "it cannot be continued"
 
 

@@ -180,10 +180,12 @@ def _add_effort(parser: argparse.ArgumentParser) -> None:
 def _run_search(options: argparse.Namespace) -> int:
 
     problem = api.known_problem(options.problem)
+    gains, parameters = api.split_numbers(problem, options.set)
+    for note in api.unit_notes(problem, {**gains, **parameters}):
+        report.print_note(note)
     if problem.has_graph or asks_for_events(options):
         return search_events(options, problem)
     near = None if options.near is None else api.as_orbit(options.near)
-    gains, parameters = api.split_numbers(problem, options.set)
     free = {**api.free_gains(problem), **options.vary}
     free = {name: box for name, box in free.items() if name in options.vary or name not in gains}
     values = api.start_values(problem, near=near, gains=gains, parameters=parameters)

@@ -39,16 +39,22 @@ from zeno_orbits.orbits import (
     shortest_return,
 )
 from zeno_orbits.simulation import (
+    AttractorKind,
     Execution,
     Impact,
+    MotionLog,
+    Piece,
     Release,
     SimulationSettings,
     SwitchEvent,
     ZenoExtrapolation,
     bounds_of,
+    clock_turn,
     growth_of,
     simulated_at_most,
     state_after,
+    watched,
+    without_events,
 )
 
 _FIRST, _SURE, _LONGEST = 3.125, 25.0, 400.0
@@ -63,6 +69,8 @@ _THERE = 1e-4
 """Relative distance from an orbit at which a motion has arrived."""
 _FAST, _HALF = 0.1, 0.5
 """Ratios of two successive such distances, and of the two before, below which an orbit attracts."""
+_HELD, _REPEATS = 2.0, 1e-5
+"""Turns of the clock without an event, and relative change over a period, of permanent contact."""
 _ROUGH = 1e-8
 """Accuracy of the motion before it repeats."""
 
@@ -170,6 +178,7 @@ def _settled(
             # The event of the section may follow later.
             if not (is_cut or is_early):
                 raise
+        _require_flight(problem, graph, motion)
         if _decays(motion):
             raise SimulationError(
                 "The motion decays",
@@ -181,6 +190,48 @@ def _settled(
     if trouble is None:
         raise AssertionError("A motion has a first piece.")
     raise trouble
+
+
+def _require_flight(problem: Problem, graph: GraphDynamics, motion: Execution) -> None:
+    """Refuse a motion that stays in contact: its states repeat at the turns of the clock.
+
+    Args:
+        problem: The problem, with the units of its states.
+        graph: Its graph of modes.
+        motion: The motion so far.
+
+    Raises:
+        SimulationError: If no event has occurred for some turns, contact lasts, and states repeat.
+    """
+    x, arc = motion.end_state, motion.arcs[-1]
+    closed, _ = arc.mode_in(graph)
+    turn = clock_turn(graph.first, x) if closed else None
+    if turn is None or motion.end_time - arc.start_time < _HELD * turn:
+        return
+    log = MotionLog(units=problem.state_units, usual=graph.own.states(len(x)))
+    try:
+        found = without_events(graph, log, x, _REPEATS)
+        if found.kind is not AttractorKind.REPEATS:
+            return
+        period = found.turns * turn
+        if any(p.events for p in _pieces(graph, x, period)):
+            return
+    except SimulationError:
+        return
+    stops = " and ".join(f"`{graph.stop_names[k]}`" for k in closed)
+    raise SimulationError(
+        f"The motion stays in contact with {stops}, with the period {period:.6g} s: "
+        "the drive never lifts it off",
+        time=motion.end_time,
+        state=tuple(x.tolist()),
+    )
+
+
+def _pieces(graph: GraphDynamics, x: Vector, until: float) -> Iterator[Piece]:
+    """Yield the pieces in which a motion goes on from a state of it."""
+    for piece in watched(graph, x, until=until, error=_ROUGH, goes_on=True):
+        if isinstance(piece, Piece):
+            yield piece
 
 
 def _motions(

@@ -104,6 +104,15 @@ def scan_summary(search: SearchProblem) -> str:
     return f"{len(_places(search))} points of the box were simulated: {found}."
 
 
+def stays_in_contact(search: SearchProblem) -> bool:
+    """Return True if the motion of every point of the box ends in permanent contact.
+
+    Args:
+        search: The search, with at least one free value.
+    """
+    return all(one.fate is AttractorClass.HELD for one in _attractors(search))
+
+
 def require_period_in_reach(search: SearchProblem, objective: TargetPeriod) -> None:
     """Refuse a period that is far from those of all orbits of the scan.
 
