@@ -129,7 +129,7 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
         ),
         ('p["restitution"])', 'p["restitution"]', 12, "was never closed. Add the closing bracket"),
         ("    force", "   force", 8, "Indent the line like its neighbours"),
-        ("        zo.Quantity.restitution(0.5),", "", 18, "Add `Quantity.restitution(0.5)`."),
+        ("        zo.Quantity.restitution(0.5),", "", 12, "Add `Quantity.restitution(0.5)`"),
         (
             "restitution(0.5)",
             "restitution(1.5)",

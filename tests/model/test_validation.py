@@ -165,7 +165,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "no restitution": (
         *(FORCED, "        Quantity.restitution(0.5),  # of the stop, in [0, 1]\n", ""),
-        "must hold a `restitution`.*the entry is missing",
+        "must use declared gains and parameters, but it uses `restitution`",
     ),
     "restitution above one": (
         *(FORCED, "Quantity.restitution(0.5)", "Quantity.restitution(1.5)"),
@@ -175,7 +175,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
         FORCED,
         "Quantity.restitution(0.5),",
         'Quantity(name="restitution", unit="1", meaning="", default=0.5),',
-        "must hold a `restitution`.*its range is different",
+        "must hold `restitution` in .*its range is different",
     ),
     "default outside its range": (
         *(FORCED, "default=1.0, lower=0.0", "default=-1.0, lower=0.0"),

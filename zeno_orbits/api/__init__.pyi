@@ -74,6 +74,7 @@ from .questions import free_gains as free_gains
 from .questions import objective_help as objective_help
 from .questions import objective_words as objective_words
 from .questions import search_notes as search_notes
+from .questions import energy_notes as energy_notes
 from .questions import unit_notes as unit_notes
 from .questions import search_settings as search_settings
 from .names import NAMES as NAMES

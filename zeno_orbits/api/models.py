@@ -83,6 +83,7 @@ class ZenoCondition:
         formula: The acceleration of the gap at a Zeno equilibrium, in symbols.
         with_values: The same formula with the values inserted.
         equilibrium: Theorem 1 at one state, if one was named.
+        sources: Parts of the machine that supply energy by a sign, as sentences.
     """
 
     problem: Problem
@@ -90,6 +91,7 @@ class ZenoCondition:
     formula: Any
     with_values: Any
     equilibrium: EquilibriumReport | None
+    sources: tuple[str, ...] = ()
 
     @property
     def always(self) -> bool | None:
@@ -114,6 +116,7 @@ class ZenoCondition:
             "numbers": self.text,
             "coefficients": {str(term): float(factor) for term, factor in coefficients},
             "parameters": dict(self.values.parameters),
+            **({"energy_sources": list(self.sources)} if self.sources else {}),
             **({} if point is None else {"at": _equilibrium_json(self.problem, point)}),
         }
 
@@ -138,7 +141,7 @@ def zeno_condition(
     Raises:
         InputError: If a name is unknown or a value is out of range, or the restitution is 1.
     """
-    from zeno_orbits.model import acceleration_formula, with_numbers
+    from zeno_orbits.model import acceleration_formula, energy_sources, with_numbers
 
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
@@ -150,6 +153,7 @@ def zeno_condition(
         formula=formula,
         with_values=with_numbers(formula, values),
         equilibrium=_equilibrium(known, values, at) if at else None,
+        sources=tuple(one.text for one in energy_sources(known, values)),
     )
 
 

@@ -83,6 +83,21 @@ def unit_notes(problem: Problem, numbers: Mapping[str, float]) -> list[str]:
     return far_from_own(problem, problem.values().replaced(numbers))
 
 
+def energy_notes(problem: Problem, numbers: Mapping[str, float], named: str = "") -> list[str]:
+    """Return a sentence for each part of a machine that supplies energy by a sign.
+
+    Args:
+        problem: The problem.
+        numbers: Name to value of gains and parameters.
+        named: Name or path of the problem as given. The signs of bundled problems are tested.
+    """
+    from zeno_orbits.model import bundled_problems, energy_sources
+
+    if named in bundled_problems():
+        return []
+    return [one.text for one in energy_sources(problem, problem.values().replaced(numbers))]
+
+
 def search_notes(
     problem: Problem,
     values: ParameterValues,

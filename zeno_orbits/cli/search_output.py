@@ -181,7 +181,9 @@ def map_command(problem: zo.Problem, options: argparse.Namespace, notes: api.Sea
         notes: Decision variables.
     """
     around = {q.name: (q.default / 2, 2 * q.default) for q in problem.parameters if q.default}
-    others = {**api.free_gains(problem), **around, "restitution": (0.0, 0.9)}
+    others = {**api.free_gains(problem), **around}
+    if "restitution" in problem.names:
+        others["restitution"] = (0.0, 0.9)
     axes = list({**notes.free, **others})[:2]
     ranges = {**others, **notes.free}
     words = [f"zeno-orbits map {options.problem}"]

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -87,7 +87,8 @@ class Problem(Declared):
         source: Reference of the problem.
         state_names: Name of each state, ``(n_x,)``, configuration, velocity, currents.
         state_units: Unit of each state.
-        parameters: Physical constants, including ``restitution``.
+        parameters: Physical constants. The restitution of a stop may be one of them, a number or a
+            formula.
         gains: Feedback gains, whose ranges are the default search box. May be empty.
         model: Function from named symbols (gains and parameters) to the completed system.
         starts: Initial states from which the problem may settle to an orbit, as values by name. A
@@ -138,7 +139,7 @@ class Problem(Declared):
         require_names(self.state_names, self.state_units, (*self.gains, *self.parameters))
         require_coherent(self.units)
         require_ranges(self.gains, self.parameters, derives=self.derive is not None)
-        if "restitution" in self.names or self._has_one_stop():
+        if "restitution" in self.names:
             require_restitution(self.parameters)
         _require_states(self)
         for name in self.escapes:
@@ -184,26 +185,6 @@ class Problem(Declared):
         except InputError:
             return
         require_zeno_points(first.restitution)
-
-    def _has_one_stop(self) -> bool:
-        """Return True if the model has one stop, whose restitution is a parameter.
-
-        A restitution that depends on the speed of an impact has parameters of any name.
-
-        A model that cannot be built for another reason than a missing parameter is reported where
-        it is used.
-        """
-        try:
-            system = cast("object", self.model(self.symbols()))
-        except LookupError:
-            return True
-        except (ArithmeticError, RuntimeError, TypeError, ValueError):
-            return False
-        return (
-            isinstance(system, CompletedSystem)
-            and system.graph is None
-            and system.law.of_speed is None
-        )
 
     def one_stop_model(self, symbols: Mapping[str, ca.SX]) -> CompletedSystem:
         """Return the completed system of a machine with one stop and no declared switch.
@@ -755,6 +736,15 @@ def _built(problem: Problem) -> tuple[CompletedSystem, dict[str, ca.SX]]:
     """Return the completed system of a problem, and the symbols of its parameters."""
     symbols = problem.symbols()
     return built(problem.model, symbols), symbols
+
+
+def system_in_symbols(problem: Problem) -> tuple[CompletedSystem, Mapping[str, ca.SX]]:
+    """Return the completed system of a problem, and the symbols of its gains and parameters.
+
+    Args:
+        problem: The problem.
+    """
+    return _built(problem)
 
 
 @lru_cache(maxsize=_MOST)

@@ -312,20 +312,20 @@ def require_ranges(
 
 
 def require_restitution(parameters: Sequence[Quantity]) -> None:
-    """Reject parameters without the restitution of one stop, or with an invalid range.
+    """Reject a parameter `restitution` with an invalid range.
 
     Args:
         parameters: The parameters.
 
     Raises:
-        InputError: If the restitution is missing or may be negative or exceed 1.
+        InputError: If the restitution may be negative or exceed 1, or is a gain.
     """
     impact = [quantity for quantity in parameters if quantity.name == "restitution"]
     if not impact or impact[0].lower < 0.0 or impact[0].upper > 1.0:
-        wanted = "must hold a `restitution` in [0, 1]"
-        how = "the entry is missing" if not impact else "its range is different"
+        how = "its range is different" if impact else "it is a gain"
         raise InputError(
-            f"Argument `parameters` {wanted}, but {how}. Add `Quantity.restitution(0.5)`."
+            f"Argument `parameters` must hold `restitution` in [0, 1], but {how}. "
+            "Write `Quantity.restitution(0.5)`."
         )
 
 

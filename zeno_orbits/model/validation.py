@@ -66,7 +66,11 @@ def built(
         system = model(symbols)
     except KeyError as error:
         if error.args and error.args[0] not in symbols:
-            asked = f"but it uses `{error.args[0]}`.{did_you_mean(str(error.args[0]), symbols)}"
+            name = str(error.args[0])
+            remedy = did_you_mean(name, symbols)
+            if name == "restitution":
+                remedy = " Add `Quantity.restitution(0.5)` to `parameters`, or write a number."
+            asked = f"but it uses `{name}`.{remedy}"
             raise InputError(
                 f"Argument `model` must use declared gains and parameters, {asked}"
             ) from error

@@ -141,6 +141,8 @@ def _run_conditions(options: argparse.Namespace) -> int:
     # A problem that cannot be drawn is rejected before anything is printed.
     if options.plot is not None:
         _draw_region(problem, problem.values(**numbers), options.plot)
+    for note in api.energy_notes(problem, options.set):
+        report.print_note(note)
     found = api.zeno_condition(problem, **numbers, at=options.at)
     point = found.equilibrium
     if options.json:

@@ -181,7 +181,9 @@ def _run_search(options: argparse.Namespace) -> int:
 
     problem = api.known_problem(options.problem)
     gains, parameters = api.split_numbers(problem, options.set)
-    for note in api.unit_notes(problem, {**gains, **parameters}):
+    numbers = {**gains, **parameters}
+    sources = api.energy_notes(problem, numbers, options.problem)
+    for note in (*sources, *api.unit_notes(problem, numbers)):
         report.print_note(note)
     if problem.has_graph or asks_for_events(options):
         return search_events(options, problem)

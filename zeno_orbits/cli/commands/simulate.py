@@ -129,6 +129,8 @@ def _run_simulate(options: argparse.Namespace) -> int:
             turns = abs(value) / (2 * math.pi)
             note = f"--start {name}={value:g}: in radians this is {turns:.3g} turns"
             report.print_note(f"{note} ({value:g} degrees are {math.radians(value):.4g}).")
+    for note in api.energy_notes(problem, options.set, options.problem):
+        report.print_note(note)
     stopped = None
     try:
         assured = _simulated(options, problem)

@@ -363,7 +363,10 @@ def _require_newton(
     require_analytic(graph, [drop, after])
     wanted = [graph.put("mul", graph.put("add", graph.one, law), s)]
     wanted.append(graph.put("neg", graph.put("mul", law, s)))
-    require(are_equal(graph, [drop, after], wanted), "its law of impact is not Newton's law")
+    reason = "its law of impact is not Newton's law"
+    if {*x, *p}.isdisjoint(graph.needed([law])):
+        reason += ": 1 + e is rounded, since e is a number of the file. Declare it as a parameter"
+    require(are_equal(graph, [drop, after], wanted), reason)
 
 
 def _coordinate(
