@@ -267,7 +267,9 @@ def test_a_jump_at_an_impact_of_no_speed_is_refused() -> None:
     v = mass.v
     # The last five are one law with others at impacts, and another one on the stop.
     kinked = (ca.fabs(v), -ca.fmin(v, 0), v < 0, ca.fmin(v, 0) ** 2, ca.sqrt(v**2))
-    for jump in (ca.SX(0), z + v**2, z + 1, *(z + 0.2 * one for one in kinked)):
+    # Another law below the stop alone, where values of about 1 are not.
+    below = z + 0.2 * v + ca.fmax(-mass.q, 0)
+    for jump in (ca.SX(0), z + v**2, z + 1, *(z + 0.2 * one for one in kinked), below):
         further = Auxiliary(states=z, rate=-z, after_impact=jump)
         with pytest.raises(ValueError, match="`after_impact` must change the states in proportion"):
             hybrid_system(mass, further, ca.SX(0.5))

@@ -263,3 +263,35 @@ WITHOUT_A_JUMP: dict[str, Callable[[Any, Any], Any]] = {
 @pytest.mark.parametrize("name", WITHOUT_A_JUMP)
 def test_a_quotient_without_a_jump_is_kept(name: str) -> None:
     _driven(WITHOUT_A_JUMP[name], {"q": 1.0}).checked()
+
+
+@pytest.mark.parametrize(
+    ("quotient", "is_refused"),
+    [
+        (lambda q, a: 1 / (q + a), False),
+        (lambda q, a: 1 / (a**2 * q + a / (1 + a)), False),
+        (lambda q, a: 1 / (q + (0.3 + a) - 0.3), False),
+        # Positive at the default a = 0.5 and at most others, but a pole at a < 0.4.
+        (lambda q, a: 1 / (q + a - 0.4), True),
+        (lambda q, a: 1 / ((a - 0.4) * q + 1), True),
+        (lambda q, a: 1 / (q + a + q**2 - 3), True),
+    ],
+)
+def test_a_denominator_above_the_gap_is_decided_by_its_form(
+    quotient: Callable[[Any, Any], Any], *, is_refused: bool
+) -> None:
+    def model(p: Any) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        force = -ca.fmin(1, quotient(q, p["a"]))
+        mass = zo.HybridLagrangian.from_energies(
+            q=q, v=v, kinetic=v**2 / 2, potential=0 * q, passive_force=force, gap=q
+        )
+        return zo.hybrid_system(mass, zo.no_drive(mass), p["restitution"])
+
+    machine = machine_of(model, {"q": "m", "v": "m/s"}, {"restitution": 0.5, "a": 0.5})
+    machine = replace(machine, starts=({"q": 1.0},))
+    if not is_refused:
+        machine.checked()
+        return
+    with pytest.raises(ValueError, match="of a quotient, which jumps where a denominator"):
+        machine.checked()

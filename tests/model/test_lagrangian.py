@@ -149,3 +149,31 @@ def test_a_force_of_the_wrong_length_is_refused(q: ca.SX, v: ca.SX) -> None:
             gap=q[0],
             passive_force=-v[0],
         )
+
+
+def test_an_asymmetry_that_random_points_near_one_miss_is_refused() -> None:
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+
+    def given(off: ca.SX) -> HybridLagrangian:
+        mass = ca.SX.eye(2) * 2
+        mass[0, 1] = off
+        return HybridLagrangian.from_matrices(
+            q=q, v=v, mass_matrix=mass, coriolis=ca.SX(2, 2), gravity=ca.SX(2, 1), gap=q[0]
+        )
+
+    # Zero for positive coordinates, at which formulas without kinks are told apart.
+    with pytest.raises(ValueError, match="`mass_matrix` is not symmetric"):
+        given(ca.fmax(-q[0], 0))
+    # A formula that is finite nowhere near 1 is not taken for zero.
+    with pytest.raises(ValueError, match="finite at none of 4 states"):
+        given(ca.sqrt(q[0] - 20))
+
+
+def test_a_spike_between_random_points_is_the_declared_limit_of_the_check() -> None:
+    # docs/limits.md: it is not zero, and no random point is within its width.
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    mass = ca.SX.eye(2) * 2
+    mass[0, 1] = ca.exp(-1e8 * (q[0] - 1.234567) ** 2)
+    HybridLagrangian.from_matrices(
+        q=q, v=v, mass_matrix=mass, coriolis=ca.SX(2, 2), gravity=ca.SX(2, 1), gap=q[0]
+    )

@@ -24,11 +24,12 @@ from zeno_orbits.model.contact import (
 from zeno_orbits.model.drives.auxiliary import Auxiliary, joined_auxiliary
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.drives.holds import Hold
+from zeno_orbits.model.expressions.identities import values_near_one
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.modes import ModeGraph
 
-_TRIALS, _ROUNDING = 4, 1e-9
-"""Random states at which a law is tried, and the rounding of formulas there."""
+_ROUNDING = 1e-9
+"""Rounding of formulas at random states with values of about 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -244,14 +245,8 @@ def _state_change(
     v = lagrangian.v
     mirrored = ca.substitute(slope, v, v - 2 * gap_rate * velocity_change)
     off = ca.veccat(jump - slope * gap_rate, slope - mirrored, jump, slope)
-    others = ca.veccat(*(one for one in ca.symvar(off) if not ca.depends_on(v, one)))
-    values = ca.Function("jump", [v, others], [ca.densify(off)], {"allow_free": False})
-    random = np.random.default_rng(0)
     n = 2 * jump.numel()
-    for trial in range(_TRIALS):
-        speeds = random.uniform(0.5, 1.5, v.numel()) * (1.0 if trial % 2 else -1.0)
-        found = values(speeds, random.uniform(0.5, 1.5, others.numel()))
-        tried = np.array(found.full()).ravel()
+    for tried in values_near_one(off, [v]):
         if not np.max(np.abs(tried[:n])) <= _ROUNDING * max(1.0, float(np.max(np.abs(tried[n:])))):
             raise ValueError(
                 "Argument `after_impact` must change the states in proportion to the gap rate. "
@@ -268,13 +263,10 @@ def _of_any_speed(change: ca.SX) -> ca.SX:
     """
     if not ca.depends_on(change, impact_speed):
         return change
-    others = [one for one in ca.symvar(change) if not ca.depends_on(one, impact_speed)]
-    values = ca.Function("change", [impact_speed, ca.veccat(*others)], [ca.densify(change)])
-    random = np.random.default_rng(0)
-    for _ in range(_TRIALS):
-        at = random.uniform(0.5, 1.5, len(others))
-        slow, fast = (np.array(values(speed, at).full()).ravel() for speed in (0.1, 0.3))
-        if not np.max(np.abs(fast - slow)) <= _ROUNDING * max(1.0, float(np.max(np.abs(slow)))):
+    slow, fast = (ca.substitute(change, impact_speed, speed) for speed in (0.1, 0.3))
+    for row in values_near_one(ca.veccat(fast - slow, slow)):
+        off, size = np.max(np.abs(row.reshape(2, -1)), axis=1)
+        if not off <= _ROUNDING * max(1.0, float(size)):
             raise ValueError(
                 "Argument `after_impact` must change the states in proportion to 1 + e, since "
                 "the restitution e depends on the speed of the impact."

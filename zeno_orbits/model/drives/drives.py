@@ -24,6 +24,7 @@ from zeno_orbits.model.drives.circuits import (
     network_drive,
 )
 from zeno_orbits.model.drives.motors import MotorBank
+from zeno_orbits.model.expressions.identities import values_near_one
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.work import checked
 
@@ -204,10 +205,7 @@ def _require_inertia(lagrangian: HybridLagrangian, added: ca.SX) -> None:
     wanted = "must make each motor feed back its own speed by a constant factor, but"
     if ca.depends_on(added, ca.vertcat(lagrangian.q, lagrangian.v)):
         raise ValueError(f"Argument `motors` {wanted} the added inertia changes with the state.")
-    symbols = ca.veccat(*ca.symvar(added))
-    values = ca.Function("added_inertia", [symbols], [ca.densify(added)])
-    random = np.random.default_rng(0)
-    for _ in range(4):
-        trial = np.array(values(random.uniform(0.5, 1.5, symbols.numel())).full())
+    for row in values_near_one(added):
+        trial = row.reshape(added.shape)
         if np.max(np.abs(trial - trial.T)) > 1e-9 * np.max(np.abs(trial)):
             raise ValueError(f"Argument `motors` {wanted} the added inertia is not symmetric.")

@@ -10,7 +10,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 
-_POINTS = 4
+_POINTS, _MANY = 4, 64
+"""Numbers of points for formulas that are flat nowhere, and for others."""
 _TOLD = frozenset(
     {
         *(ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_INV, ca.OP_SQ, ca.OP_TWICE),
@@ -33,6 +34,42 @@ def at_random_points(formulas: Sequence[ca.SX], lowest: float = 0.5) -> Vector:
     values: Any = ca.Function("values", symbols, [ca.densify(every)])
     points = np.random.default_rng(0).uniform(lowest, 2.0, (_POINTS, len(symbols)))
     return np.array([np.ravel(values.call(point)[0].full()) for point in points.tolist()])
+
+
+def values_near_one(formula: ca.SX, symbols: Sequence[ca.SX] = ()) -> Vector:
+    """Return the values of a formula at random points, the same in every run, ``(n, m)``.
+
+    Points at which it is not finite are left out. What vanishes at the points vanishes everywhere
+    if `is_told_by_points`. Other formulas are evaluated at more points, of both signs: they may be
+    flat at all of them.
+
+    Args:
+        formula: The formula, ``(m,)``.
+        symbols: Symbols that take both signs in turn, by default none.
+
+    Raises:
+        ValueError: If the formula is finite at no point.
+    """
+    every = ca.vec(ca.densify(formula))
+    turned = ca.vertcat(ca.SX(0, 1), *symbols)
+    others = ca.veccat(*(one for one in ca.symvar(every) if not ca.depends_on(turned, one)))
+    values: Any = ca.Function("values", [turned, others], [every])
+    random = np.random.default_rng(0)
+    n, rows = turned.numel(), list[Vector]()
+    is_told = is_told_by_points(*ca.vertsplit(every))
+    for k in range(_POINTS if is_told else _MANY):
+        lowest = 0.5 if k < _POINTS else -1.5
+        first = random.uniform(0.5, 1.5, n) * (1.0 if k % 2 else -1.0)
+        found = values.call([first, random.uniform(lowest, 1.5, others.numel())])[0]
+        row: Vector = np.ravel(found.full())
+        rows.append(row)
+    finite = np.array([row for row in rows if np.all(np.isfinite(row))])
+    if not len(finite):
+        raise ValueError(
+            f"Argument `model`: a formula is finite at none of {len(rows)} states with values of "
+            "about 1, so it cannot be checked: write it so that it is finite there."
+        )
+    return finite
 
 
 def is_told_by_points(*formulas: Any) -> bool:

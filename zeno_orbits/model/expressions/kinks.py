@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, reduce
+from functools import cache, partial, reduce
 from itertools import chain, combinations
 from typing import Any
 
@@ -687,44 +687,51 @@ def _factors(formula: Any) -> list[Any]:
 
 
 def _is_above(formula: ca.SX, gap: ca.SX, states: ca.SX) -> bool:
-    """Return True if a formula is a positive multiple of a gap plus a positive parameter."""
-    by_formula, by_gap = (ca.jacobian(one, states).T for one in (formula, gap))
-    shared = [k for k in range(states.numel()) if not by_gap[k].is_zero()]
-    if not shared or by_formula[shared[0]].is_zero():
-        return False
-    factor: Any = by_formula[shared[0]] / by_gap[shared[0]]
-    rest: Any = formula - factor * gap
-    varied = ca.vertcat(ca.jacobian(rest, states).T, ca.jacobian(factor, states).T)
-    left, scale, slope = at_random_points((rest, factor, ca.norm_inf(varied))).T
-    return bool(
-        np.all((left > 0.0) & (scale > 0.0) & (np.abs(slope) <= _SAME * (1.0 + np.abs(scale))))
-    )
+    """Return True if a formula is by its form a positive multiple of a gap plus a positive rest.
+
+    Both must be formulas of parameters, which count as positive, and the gap linear in a state.
+    """
+    for k in range(states.numel()):
+        state: Any = states[k]
+        slope: Any = ca.jacobian(gap, state)
+        if slope.is_zero() or ca.depends_on(slope, states):
+            continue
+        factor: Any = ca.jacobian(formula, state) / slope
+        on_stop = -ca.substitute(gap, state, ca.SX(0.0)) / slope
+        rest: Any = ca.simplify(ca.substitute(formula, state, on_stop))
+        both: ca.SX = ca.vertcat(factor, rest)
+        return not ca.depends_on(both, states) and all(
+            _is_positive(one, parameters=True) for one in (factor, rest)
+        )
+    return False
 
 
-def _is_positive(formula: Any, *, zero: bool = False) -> bool:
-    """Return True if a formula is positive by its form. Parameters count as positive.
+def _is_positive(formula: Any, *, zero: bool = False, parameters: bool = False) -> bool:
+    """Return True if a formula is positive by its form.
 
     Args:
         formula: The formula.
         zero: Whether zero is sufficient.
+        parameters: Whether the formula holds no states, and its symbols count as positive.
     """
     if formula.is_constant():
         return float(formula) > 0.0 or (zero and float(formula) == 0.0)
     if formula.is_leaf():
-        return False
+        return parameters
+    positive = partial(_is_positive, parameters=parameters)
     parts = [formula.dep(k) for k in range(formula.n_dep())]
     operation = formula.op()
     if operation in (ca.OP_EXP, ca.OP_COSH):
         return True
     if operation in (ca.OP_SQ, ca.OP_FABS):
-        return zero
+        return zero or (parameters and positive(parts[0]))
     if operation == ca.OP_FMAX:
-        return any(_is_positive(one, zero=zero) for one in parts)
+        return any(positive(one, zero=zero) for one in parts)
     if operation in (ca.OP_ADD, ca.OP_HYPOT):
-        least = operation == ca.OP_HYPOT or all(_is_positive(one, zero=True) for one in parts)
-        return least and (zero or any(map(_is_positive, parts)))
+        least = operation == ca.OP_HYPOT or all(positive(one, zero=True) for one in parts)
+        return least and (zero or any(map(positive, parts)))
     if operation in (ca.OP_MUL, ca.OP_DIV, ca.OP_FMIN, ca.OP_SQRT, ca.OP_TWICE, ca.OP_INV):
-        return all(_is_positive(one, zero=zero) for one in parts)
+        return all(positive(one, zero=zero) for one in parts)
     return False
 
 
