@@ -230,3 +230,20 @@ def test_a_machine_of_micrometres_and_microseconds_is_printed_with_prefixes(
     assert row.split()[1] == "us"
     assert float(row.split()[2]) == pytest.approx(2 * np.pi / 15e3 * 1e6, rel=1e-6)
     assert "0.000" not in row
+
+
+def test_many_contacts_are_summed_up_by_stop_and_listed_on_request() -> None:
+    words = ("rig", "bouncing_ball", "--set", "restitution=0.9", "--until", "7.6")
+    words = (*words, "--part", "contact.stiffness=1e5")
+    short, whole, data = (ask(*words, *more) for more in ((), ("--events",), ("--json",)))
+    contacts = data.data["contacts"]
+    assert len(contacts) > 16
+    assert len(short.out.splitlines()) < 10
+    assert "--events prints every contact." in short.out
+    (line,) = (one for one in short.out.splitlines() if one.startswith("stop  ") and "." in one)
+    _, count, first, last, fastest, _ = line.split()
+    assert int(count) == len(contacts)
+    assert float(first) == pytest.approx(contacts[0]["start"], rel=1e-6)
+    assert float(last) == pytest.approx(contacts[-1]["end"], rel=1e-6)
+    assert float(fastest) == pytest.approx(min(one["approach_rate"] for one in contacts), rel=1e-6)
+    assert len(whole.out.splitlines()) > len(contacts)

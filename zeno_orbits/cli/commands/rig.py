@@ -82,6 +82,9 @@ def add_rig(commands: Any) -> None:
         parser, "until", ", for a problem in place of an orbit (default: 10)", type=read_number
     )
     parser.add_argument(
+        "--events", action="store_true", help="print every contact, and no summary of them"
+    )
+    parser.add_argument(
         "-o", "--output", type=Path, help="write the measured signals here, as a recording"
     )
 
@@ -157,6 +160,9 @@ def _near_orbit(options: argparse.Namespace) -> int:
         print_json(comparison.as_json())
     else:
         report.print_rig(comparison, problem.amplitude_of)
+        if options.events:
+            touches, stops = _contacts(settled.run)
+            report.print_contacts(problem.name, touches, problem.gap_unit, stops)
     _write(options, settled.run, problem)
     return NO if comparison.drifting or comparison.unlike else YES
 
@@ -207,15 +213,20 @@ def _from_start(options: argparse.Namespace) -> int:
     return YES
 
 
-def _show_contacts(options: argparse.Namespace, run: zo.RigRun, problem: zo.Problem) -> None:
-    """Print the contacts of a run, and write its recording."""
+def _contacts(run: zo.RigRun) -> tuple[list[dict[str, float]], list[str]]:
+    """Return the contacts of a run, and the stop of each for a machine with several stops."""
     end = float(run.times[-1])
     touches = [
         {"start": t.start, "end": min(t.end, end), "approach_rate": t.approach_rate}
         for t in run.touches
     ]
+    return touches, [t.stop for t in run.touches] if len(run.stop_names) > 1 else []
+
+
+def _show_contacts(options: argparse.Namespace, run: zo.RigRun, problem: zo.Problem) -> None:
+    """Print the contacts of a run, and write its recording."""
+    touches, stops = _contacts(run)
     several = len(run.stop_names) > 1
-    stops = [t.stop for t in run.touches] if several else []
     if options.json:
         contacts = (
             [one | {"stop": stop} for one, stop in zip(touches, stops, strict=True)]
@@ -224,7 +235,7 @@ def _show_contacts(options: argparse.Namespace, run: zo.RigRun, problem: zo.Prob
         )
         print_json({"problem": problem.name, "source": "simulated", "contacts": contacts})
     else:
-        report.print_contacts(problem.name, touches, problem.gap_unit, stops)
+        report.print_contacts(problem.name, touches, problem.gap_unit, stops, every=options.events)
         report.print_lines(f"Warning: {one}." for one in api.rig_warnings(run, problem))
     _write(options, run, problem)
 

@@ -60,9 +60,8 @@ def values_near_one(formula: ca.SX, symbols: Sequence[ca.SX] = ()) -> Vector:
     for k in range(_POINTS if is_told else _MANY):
         lowest = 0.5 if k < _POINTS else -1.5
         first = random.uniform(0.5, 1.5, n) * (1.0 if k % 2 else -1.0)
-        found = values.call([first, random.uniform(lowest, 1.5, others.numel())])[0]
-        row: Vector = np.ravel(found.full())
-        rows.append(row)
+        found: Any = values(first, random.uniform(lowest, 1.5, others.numel()))
+        rows.append(np.array(found.full()).ravel())
     finite = np.array([row for row in rows if np.all(np.isfinite(row))])
     if not len(finite):
         raise ValueError(

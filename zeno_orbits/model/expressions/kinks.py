@@ -699,9 +699,9 @@ def _is_above(formula: ca.SX, gap: ca.SX, states: ca.SX) -> bool:
         factor: Any = ca.jacobian(formula, state) / slope
         on_stop = -ca.substitute(gap, state, ca.SX(0.0)) / slope
         rest: Any = ca.simplify(ca.substitute(formula, state, on_stop))
-        both: ca.SX = ca.vertcat(factor, rest)
-        return not ca.depends_on(both, states) and all(
-            _is_positive(one, parameters=True) for one in (factor, rest)
+        return all(
+            not ca.depends_on(one, states) and _is_positive(one, parameters=True)
+            for one in (factor, rest)
         )
     return False
 

@@ -114,6 +114,8 @@ def print_contacts(
     contacts: Sequence[Mapping[str, float]],
     gap_unit: str,
     stops: Sequence[str] = (),
+    *,
+    every: bool = True,
 ) -> None:
     """Print the contacts of a simulated machine.
 
@@ -122,7 +124,18 @@ def print_contacts(
         contacts: Start, end [s] and approach rate of each.
         gap_unit: Unit of the gap.
         stops: Stop of each contact, for a machine with several stops.
+        every: Whether a list that is longer than a terminal is printed whole. Else it has one row
+            per stop.
     """
+    if not every and len(contacts) > _MOST_ROWS:
+        _print_contact_summary(contacts, gap_unit, stops or ["stop"] * len(contacts))
+        print_lines(
+            [
+                "--events prints every contact.",
+                f"Simulated, not measured: {counted(len(contacts), 'contact')} of {name}.",
+            ]
+        )
+        return
     unit, size = prefixed("s", *(one["end"] for one in contacts))
     rate, speed = prefixed(
         unit_quotient(gap_unit, "s"), *(one["approach_rate"] for one in contacts)
@@ -142,6 +155,39 @@ def print_contacts(
     names = stops or [""] * len(contacts)
     print_table(columns, list(zip(names, contacts, strict=True)))
     print_lines([f"Simulated, not measured: {counted(len(contacts), 'contact')} of {name}."])
+
+
+_MOST_ROWS = 16
+"""Rows of a table that fits a terminal."""
+
+
+def _print_contact_summary(
+    contacts: Sequence[Mapping[str, float]], gap_unit: str, stops: Sequence[str]
+) -> None:
+    """Print the number of contacts, their first and last time, and their speeds, by stop."""
+    by_stop: dict[str, list[Mapping[str, float]]] = {}
+    for stop, one in zip(stops, contacts, strict=True):
+        by_stop.setdefault(stop, []).append(one)
+    unit, size = prefixed("s", *(one["end"] for one in contacts))
+    rates = [one["approach_rate"] for one in contacts]
+    rate, speed = prefixed(unit_quotient(gap_unit, "s"), *rates)
+    short, scale = prefixed("s", *(one["end"] - one["start"] for one in contacts))
+
+    def fastest(rows: Sequence[Mapping[str, float]]) -> float:
+        return min(one["approach_rate"] for one in rows)
+
+    def longest(rows: Sequence[Mapping[str, float]]) -> float:
+        return max(one["end"] - one["start"] for one in rows)
+
+    columns: list[Column[tuple[str, list[Mapping[str, float]]]]] = [
+        name_column("stop", lambda row: row[0]),
+        number_column("contacts", lambda row: str(len(row[1]))),
+        number_column(f"first begins [{unit}]", lambda row: seven(row[1][0]["start"] / size)),
+        number_column(f"last ends [{unit}]", lambda row: seven(row[1][-1]["end"] / size)),
+        number_column(f"fastest gap rate [{rate}]", lambda row: seven(fastest(row[1]) / speed)),
+        number_column(f"longest [{short}]", lambda row: seven(longest(row[1]) / scale)),
+    ]
+    print_table(columns, list(by_stop.items()))
 
 
 def print_description(found: RecordingDescription) -> None:
