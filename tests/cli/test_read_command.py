@@ -74,7 +74,7 @@ def test_signals_of_a_problem_are_known(track: Path) -> None:
     [
         (("--column", "z=height"), "--column z=height: unknown name `z`. Known: frame, y"),
         (("--column", "y"), "must be NAME=TEXT"),
-        (("--unit", "y=furlong"), "--unit y=furlong: has for `y` 'furlong'"),
+        (("--unit", "y=furlong"), "--unit y=furlong: `furlong` is not a unit"),
         (("--unit", "z=m"), "--unit z=m: unknown name `z`"),
         (("--zero", "y=low"), "have a number for `y`"),
         (("--frame-rate", "0"), "--frame-rate 0: must be a positive number"),

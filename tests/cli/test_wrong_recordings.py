@@ -142,8 +142,13 @@ WRONG: Mapping[str, tuple[str | bytes, str, str]] = {
     ),
     "no values": (
         rowed(lambda rows: [f"{row.partition(',')[0]},nan,nan,nan" for row in rows]),
-        "lacks values of `theta1`",
-        "delete its column",
+        "lacks values",
+        "no signal of it has a number",
+    ),
+    "rows by another separator": (
+        rowed(lambda rows: [row.replace(",", ";") for row in rows]),
+        "line 5 has 1 column where line 4 names 4",
+        "separated by `,`: use one separator",
     ),
     "UTF-16": (WHOLE.encode("utf-16"), "it is UTF-16 text", "save it as UTF-8"),
     "spreadsheet": (b"PK\x03\x04\x00\x00rest\n", "it holds zero bytes", "save it as text"),

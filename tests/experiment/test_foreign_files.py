@@ -203,7 +203,7 @@ WRONG = {
     "an unknown title": ({"names": {"z": "x"}}, "Argument `names`: unknown"),
     "a number beyond the last": ({"names": {"9": "x"}}, "Argument `names`: unknown"),
     "an unknown quantity": ({"units": {"z": "m"}}, "Argument `units`: unknown"),
-    "no unit": ({"units": {"x": "furlong"}}, "Argument `units` has for `x`"),
+    "no unit": ({"units": {"x": "furlong"}}, "Argument `units`: `furlong` is not a unit"),
     "no size": ({"units": {"x": "0 m"}}, "Argument `units` has for `x` a unit of size 0"),
     "an infinite size": ({"units": {"x": "1e999 m"}}, "Argument `units` has for `x` a unit of"),
     "an infinite zero": ({"zeros": {"x": float("inf")}}, r"zeros\[x\]"),

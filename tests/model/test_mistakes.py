@@ -133,9 +133,10 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
         (
             "restitution(0.5)",
             "restitution(1.5)",
-            14,
+            21,
             "`restitution` must lie in [0, 1], but it is 1.5",
         ),
+        ('positive("g"', 'positive("m"', 20, "but `m` appears twice"),
         ('"m", 1.0, "kg"', '"mm", 1.0, "kg"', 10, "but it uses `m`"),
         (
             *("gains=()", f"gains=({GAIN}lower=0.0),)", 23),

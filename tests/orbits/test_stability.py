@@ -15,7 +15,7 @@ import zeno_orbits as zo
 from tests.orbits.test_event_multipliers import Pressed
 from tests.reference.several_stops import impact_pair, two_sided
 from tests.support.contactless import wheel
-from zeno_orbits.orbits import Stability, orbit_event_name
+from zeno_orbits.orbits import SlowDirection, Stability, orbit_event_name
 from zeno_orbits.simulation import SwitchEvent, state_after, state_before
 
 OBSERVED = Path(__file__).parents[1] / "support" / "machines" / "observed_valve.py"
@@ -336,3 +336,12 @@ def test_an_orbit_without_multipliers_recovers_within_a_period() -> None:
     assert found.stable
     assert found.periods_to(0.01) == 1.0
     assert found.periods_to(2.0) == math.inf
+
+
+def test_a_direction_names_units_that_differ_and_none_that_are_equal() -> None:
+    slow = SlowDirection(
+        multiplier=0.5,
+        ratios={"x": 1.0, "sine": 6.11, "y": -2.0, "current": 3.0},
+        units={"x": "m", "sine": "1", "y": "m", "current": "A"},
+    )
+    assert slow.words == "mostly x, with sine (6.11 per m), y (-2), current (3 A per m)"

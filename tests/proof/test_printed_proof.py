@@ -430,8 +430,11 @@ def test_a_fixed_point_is_not_called_the_only_periodic_orbit(proofs: dict[str, P
     assert "P has exactly one fixed point in box 1." in surface
     assert "periodic orbit passes" not in surface
     assert "into its interior" not in surface
+    # No number is missing without a word.
+    assert "Statement (4), about a single periodic orbit, is not proved" in surface
     valve = "\n".join(proofs["motor_valve"].lines())
     assert "Exactly one periodic orbit passes through box 1." in valve
+    assert "Statement (4)" not in valve
 
 
 def test_stability_names_the_box_on_which_it_is_proved(proofs: dict[str, Proof]) -> None:

@@ -306,19 +306,30 @@ def _line_of_argument(tree: ast.AST, text: str, line: int | None) -> int | None:
     if line is not None:
         # The call itself is the outermost of those that begin in its line.
         calls = calls[:1]
-    for name in names:
+    for name in () if "appears twice" in text else names:
         for call in calls:
             if any(word.arg == name for word in call.keywords):
                 return next(word.lineno for word in call.keywords if word.arg == name)
+    makers = [
+        node
+        for call in calls[:1]
+        for node in ast.walk(call)
+        if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == names[0]
+    ]
+    if len(makers) == 1:
+        return makers[0].lineno
     mistake = re.split(r": write| Known | Did you mean", text)[0]
     values = re.findall(r"`'?([^`']+)'?`", mistake)
     for value in reversed(values) if line is not None else ():
         nodes = [node for call in calls for node in ast.walk(call)]
         # A declared name is the first argument of its `Quantity`, or `name`.
         declared = [one for node in nodes if isinstance(node, ast.Call) for one in _names(node)]
+        found = list[int]()
         for node in (*declared, *nodes):
             if isinstance(node, ast.Constant) and node.value == value:
-                return node.lineno
+                found.append(node.lineno)
+        if found:
+            return found[1] if "appears twice" in text and len(found) > 1 else found[0]
     elsewhere = list(_arguments(tree, names[0])) if calls else []
     return elsewhere[0] if len(elsewhere) == 1 else line
 

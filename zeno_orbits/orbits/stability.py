@@ -326,4 +326,6 @@ def _per(unit: str, other: str) -> str:
     """Return a unit per another unit, or nothing if they are the same."""
     if unit == other:
         return ""
+    if unit == "1":
+        return f"per {other}"
     return unit if other == "1" else f"{unit} per {other}"

@@ -347,6 +347,11 @@ class Proof:
         ]
         lines += self._hypotheses()
         lines += self.statements()
+        if not self.inside:
+            lines.append(
+                "Statement (4), about a single periodic orbit, is not proved: P was not shown to"
+                " map box 1 into itself."
+            )
         if self.no_basin:
             lines.append(f"No set of initial states is proved beyond box 1: {self.no_basin}.")
         lines += ["", "Enclosures, for the fixed point of P:"]

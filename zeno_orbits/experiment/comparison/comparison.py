@@ -252,6 +252,9 @@ def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Compariso
         whole = recording.time[-1] - recording.time[0]
         reason = f"no period is seen in {whole:.4g} s, and the orbit's is {orbit.period:.4g} s: "
         reason += "record a motion of several periods"
+        rows = [recording.signal(name).values for name in names]
+        if rows and all(np.nanmin(row) == np.nanmax(row) for row in rows):
+            reason = "every signal is constant: check the columns and the instruments"
         return replace(begun, reasons=(reason,), remarks=tuple(remarks))
     found, reasons = overlay.found, overlay.reasons()
     if overlay.n_cycles < _TOLD_CYCLES:

@@ -294,6 +294,8 @@ def shared_signals(
         kinds = "signal or a contact channel" if channels else "signal"
         wanted = f"must have a {kinds} of the problem ({listed})"
         raise InputError(f"Argument `recording` {wanted}, but it has {has}.")
+    if names and not any(np.any(np.isfinite(recording.signal(name).values)) for name in names):
+        raise InputError("Argument `recording` lacks values: no signal of it has a number.")
     for name in names:
         signal = recording.signal(name)
         if powers_of(signal.unit) != powers_of(known[name]):
@@ -305,5 +307,7 @@ def shared_signals(
         largest = float(np.max(np.abs(values)))
         if largest > _LARGEST:
             wanted = f"must have values of `{name}` up to {_LARGEST:g}"
-            raise InputError(f"Argument `recording` {wanted}, but it has {largest:g}.")
+            place = int(np.nanargmax(np.abs(signal.values)))
+            at = f"at t = {recording.time[place]:.7g} s: correct or empty the cell"
+            raise InputError(f"Argument `recording` {wanted}, but it has {largest:g} {at}.")
     return names

@@ -18,7 +18,6 @@ from zeno_orbits.errors import (
     finite_number,
     named_numbers,
     not_known,
-    shortened,
     shown,
 )
 from zeno_orbits.experiment.recordings.heads import Head
@@ -114,8 +113,7 @@ def sized(name: str, text: str) -> tuple[str, float]:
         si, size = in_si(unit)
         size *= float(number)
     except ValueError as error:
-        told = f"Argument `units` has for `{name}` {shortened(text)!r}: {error}"
-        raise InputError(told) from error
+        raise InputError(f"Argument `units`: {error}") from error
     if size == 0.0 or not math.isfinite(size):
         raise InputError(f"Argument `units` has for `{name}` a unit of size {size:g}.")
     return si, size

@@ -57,7 +57,11 @@ def contact_channels(recording: Recording, stops: Sequence[str]) -> dict[str, Ve
         if name not in known and not name.startswith(f"{CONTACT}.") and name != CONTACT:
             continue
         if name not in known:
-            raise InputError(f"Argument `recording`: contact channel: {not_known(name, known)}")
+            word = (
+                f" The file is a recording of `{recording.problem}`." if recording.problem else ""
+            )
+            told = f"contact channel: {not_known(name, known)}{word}"
+            raise InputError(f"Argument `recording`: {told}")
         values = signal.values
         odd = np.isfinite(values) & (values != 0.0) & (values != 1.0)
         if signal.unit != "1" or np.any(odd):

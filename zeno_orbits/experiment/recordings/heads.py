@@ -240,7 +240,9 @@ def opened(path: Path) -> BinaryIO:
         DataFileError: If it cannot be read, or may not end.
     """
     try:
-        if not path.is_dir() and path.exists() and not path.is_file():
+        if path.is_dir():
+            raise DataFileError(path, "it is a folder: name a file in it")
+        if path.exists() and not path.is_file():
             # A pipe or a device may not end.
             raise DataFileError(path, "it is a pipe or a device, and not a file")
         return path.open("rb")

@@ -174,6 +174,8 @@ class _Reader:
         message = f"line {line} has {columns} where line {self.head.line} names {n_columns}"
         if self.head.separator == "," and found == 2 * n_columns:
             return f"{message}; with decimal commas, separate the columns by semicolons or tabs"
+        if found == 1 < n_columns and self.head.separator.strip():
+            return f"{message}, separated by `{self.head.separator}`: use one separator"
         return f"{message}: correct or delete the line"
 
     def table(self) -> ColumnTable:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -312,6 +313,13 @@ def print_feedback(found: Feedback, extents: Mapping[str, tuple[float, float]]) 
 
 
 def _range_text(low: float, high: float) -> str:
+    smallest = sys.float_info.min
+    if high == math.inf:
+        if low == -math.inf:
+            return "any"
+        return "> 0" if 0.0 < low <= smallest else f">= {low:.7g}"
+    if low == -math.inf:
+        return f"<= {high:.7g}"
     return f"{low:.7g} to {high:.7g}"
 
 
@@ -463,7 +471,7 @@ def _print_family(family: Family) -> None:
         number_column("error", lambda one: f"{one.error:.0e}" if one.kind.located else ""),
         number_column("period [s]", lambda one: f"{one.at.period:.10g}"),
         text_column("multipliers", lambda one: ", ".join(map(_short, one.at.multipliers[:2]))),
-        number_column("their error", lambda one: f"{one.at.multiplier_error:.0e}"),
+        number_column("their error", _multiplier_error),
     ]
     print_table(columns, family.named)
     if math.isfinite(family.resolution):
@@ -472,6 +480,18 @@ def _print_family(family: Family) -> None:
             [f"Two special points of one kind closer than {nearest} in {name} may be missed."]
         )
     print_lines(f"{one.kind.value}: {one.detail}" for one in family.named if one.detail)
+
+
+_LEAST_ERROR = 1e-16
+"""Error of a multiplier below which rounding hides it."""
+
+
+def _multiplier_error(one: SpecialPoint) -> str:
+    """Return the error of the multipliers at a point as text, empty without multipliers."""
+    error = one.at.multiplier_error
+    if not len(one.at.multipliers) or not math.isfinite(error):
+        return "" if not len(one.at.multipliers) else "-"
+    return f"{error:.0e}" if error >= _LEAST_ERROR else f"< {_LEAST_ERROR:.0e}"
 
 
 def _cusp(boundary: SpecialCurve, place: int) -> str:
