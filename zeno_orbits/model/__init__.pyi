@@ -14,8 +14,8 @@ from .drives.drives import full_drive as full_drive
 from .drives.drives import ideal_torque_drive as ideal_torque_drive
 from .drives.drives import no_drive as no_drive
 from .drives.drives import quasi_static_drive as quasi_static_drive
-from .energy_sources import EnergySource as EnergySource
-from .energy_sources import energy_sources as energy_sources
+from .power_signs import EnergySource as EnergySource
+from .power_signs import energy_sources as energy_sources
 from .formulas import acceleration_formula as acceleration_formula
 from .formulas import six_digits as six_digits
 from .formulas import with_numbers as with_numbers
