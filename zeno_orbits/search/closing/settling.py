@@ -69,8 +69,9 @@ _THERE = 1e-4
 """Relative distance from an orbit at which a motion has arrived."""
 _FAST, _HALF = 0.1, 0.5
 """Ratios of two successive such distances, and of the two before, below which an orbit attracts."""
-_HELD, _REPEATS = 2.0, 1e-5
-"""Turns of the clock without an event, and relative change over a period, of permanent contact."""
+_HELD, _REPEATS, _LOOKS = 2.0, 1e-5, 33
+"""Turns of the clock without an event, relative change over a period, and states of a turn that are
+looked at, of permanent contact."""
 _ROUGH = 1e-8
 """Accuracy of the motion before it repeats."""
 
@@ -207,6 +208,12 @@ def _require_flight(problem: Problem, graph: GraphDynamics, motion: Execution) -
     closed, _ = arc.mode_in(graph)
     turn = clock_turn(graph.first, x) if closed else None
     if turn is None or motion.end_time - arc.start_time < _HELD * turn:
+        return
+    times = np.linspace(motion.end_time - turn, motion.end_time, _LOOKS)
+    moving = [k for k in range(len(x)) if k not in graph.first.clock]
+    change = np.ptp(arc.states_at(times), axis=0) / graph.own.states(len(x))
+    if np.all(change[moving] < _REPEATS):
+        # The clock alone moves: the motion comes to rest.
         return
     log = MotionLog(units=problem.state_units, usual=graph.own.states(len(x)))
     try:
