@@ -296,13 +296,16 @@ def test_signals_of_another_kind_are_refused(orbit: Orbit, problem: Problem) -> 
     other = RecordedSignal(name="pressure", unit="Pa", values=np.sin(time))
     empty = RecordedSignal(name="theta1", unit="rad", values=np.full(100, np.nan))
     huge = RecordedSignal(name="theta1", unit="rad", values=1e300 * np.sin(time))
-    for signal, reason in (
-        (huge, r"must have values of `theta1` up to 1e\+100, but it has"),
-        (metres, "`theta1` in a unit like rad, but it has m"),
-        (other, "must have a signal or a contact channel of the problem"),
-        (empty, "lacks values of `theta1`"),
+    whole = RecordedSignal(name="theta2", unit="rad", values=np.sin(time))
+    # The largest sine of these times is that of 4.7 s.
+    for signals, reason in (
+        ((huge,), r"`theta1` up to 1e\+100, but it has 9.9\d*e\+299 at t = 4.7 s: correct"),
+        ((metres,), "`theta1` in a unit like rad, but it has m"),
+        ((other,), "must have a signal or a contact channel of the problem"),
+        ((empty,), "lacks values: no signal of it has a number"),
+        ((empty, whole), "lacks values of `theta1`: delete its column"),
     ):
-        recording = Recording(source=None, problem="", time=time, signals=(signal,))
+        recording = Recording(source=None, problem="", time=time, signals=signals)
         with pytest.raises(InputError, match=reason):
             compare_recording(orbit, problem, recording)
 

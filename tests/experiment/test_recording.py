@@ -266,7 +266,7 @@ def test_what_cannot_be_understood_is_refused_in_one_line(
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataFileError, match="cannot be read"):
         read_recording(tmp_path / "none.csv")
-    with pytest.raises(DataFileError, match="cannot be read"):
+    with pytest.raises(DataFileError, match="it is a folder: name a file in it"):
         read_recording(tmp_path)
 
 
