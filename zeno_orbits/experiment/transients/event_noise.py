@@ -168,8 +168,18 @@ def _linear(shooting: Shooting, z: Vector, k: int) -> tuple[Vector, Vector, Vect
     found = shooting.predicted(k, z, math.inf)
     if found is None:
         return None
-    places = [matched(one, found.motion.events(one.kind, one.stop)) for one in trial.series]
-    last = float(np.max(event_times(trial))) - found.offset
+    models = [found.motion.events(one.kind, one.stop) for one in trial.series]
+    places = [matched(one, model) for one, model in zip(trial.series, models, strict=True)]
+    # Scatter may shift the fitted events far from the recorded ones.
+    last = max(
+        (
+            float(model.times[j])
+            for own, model in zip(places, models, strict=True)
+            for j in own
+            if j is not None
+        ),
+        default=0.0,
+    )
     columns: list[Vector] = []
     for impact in found.motion.execution.impacts:
         if impact.time >= last:

@@ -239,10 +239,11 @@ def fit_transients(
     shooting = _shooting(problem, begin, sought, trials)
     first = np.zeros(shooting.n_z)
     before = _deviation(shooting, first)
-    found = best_fit(shooting, first, on_progress)
+    steady = _without_jumps(shooting)
+    found = best_fit(steady, first, on_progress)
     if found is None:
         raise refusal("the motion from the recorded start cannot be simulated at the start values")
-    shooting, found = _masked(shooting, found)
+    shooting, found = _masked(shooting, found, is_whole=steady is shooting)
     noise = tuple(one.noise for one in shooting.trials)
     on_progress("weighting the channels", None)
     after = _deviation(shooting, found.z)
@@ -376,10 +377,31 @@ def _deviation(shooting: Shooting, z: Vector) -> float:
     return math.sqrt(float(np.mean(squares))) if squares else math.inf
 
 
-def _masked(shooting: Shooting, found: StagedFit) -> tuple[Shooting, StagedFit]:
+def _without_jumps(shooting: Shooting) -> Shooting:
+    """Return the fit of the channels that do not jump, or the fit itself if a trial has no other.
+
+    Samples of a velocity beside an impact that no gap shows lead to wrong optima.
+    """
+    trials = tuple(
+        replace(one, seen=one.seen & ~one.jumping[None, :]) if len(one.time) else one
+        for one in shooting.trials
+    )
+    if not any(one.jumping.any() for one in shooting.trials) or any(
+        not one.seen.any() and not one.n_events for one in trials
+    ):
+        return shooting
+    return replace(shooting, trials=trials)
+
+
+def _masked(shooting: Shooting, found: StagedFit, *, is_whole: bool) -> tuple[Shooting, StagedFit]:
     """Return the fit without jumping channels beside the impacts of its motion.
 
     A gap may hide impacts of which a velocity has samples. The mask does not move during a fit.
+
+    Args:
+        shooting: The trials with all channels.
+        found: An optimum.
+        is_whole: Whether it is one of all channels.
     """
     if not any(one.jumping.any() for one in shooting.trials):
         return shooting, found
@@ -394,9 +416,9 @@ def _masked(shooting: Shooting, found: StagedFit) -> tuple[Shooting, StagedFit]:
                 trial = trial.without(np.array([one.time for one in own]) + at.offset)
             trials.append(trial)
         pairs = zip(trials, shooting.trials, strict=True)
-        if all(np.array_equal(one.seen, former.seen) for one, former in pairs):
+        if is_whole and all(np.array_equal(one.seen, former.seen) for one, former in pairs):
             break
-        shooting = replace(shooting, trials=tuple(trials))
+        shooting, is_whole = replace(shooting, trials=tuple(trials)), True
         found = refitted(shooting, found)
     return shooting, found
 
