@@ -12,7 +12,9 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.cases import fast
+from tests.support.impact_laws import LAWS, ball
 from zeno_orbits.cli import main
+from zeno_orbits.errors import InputError
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.proof import ZenoNeighbourhood, equilibrium_report
 from zeno_orbits.simulation import simulate
@@ -81,6 +83,35 @@ def test_the_bound_of_a_ball_is_the_closed_form() -> None:
     assert found.duration == pytest.approx(exact, rel=1e-7)
     assert found.duration > exact
     assert found.gap == pytest.approx(rate**2 / (2 * g), rel=1e-7)
+
+
+@pytest.mark.parametrize("fall", [-0.3, 0.2])
+def test_a_law_of_the_speed_counts_with_its_largest_restitution(fall: float) -> None:
+    problem = ball(LAWS["linear"])
+    values = problem.values(parameters={"e0": 0.6, "c": fall})
+    found = equilibrium_report(problem, values, (0.0, 0.0)).neighbourhood
+    assert found is not None
+    # As for a constant restitution, with that at the largest speed, or at zero if it falls.
+    g, rate = values.number("g"), found.gap_rate
+    speed = math.sqrt(2) * rate
+    e = 0.6 + max(-fall, 0.0) * speed
+    assert 0.0 < e < 1.0
+    exact = rate * (1 + math.sqrt(2)) / g + 2 * e * speed / (g * (1 - e))
+    assert found.duration == pytest.approx(exact, rel=1e-6)
+    dynamics = problem.dynamics(values)
+    for x in _states(dynamics, found, 40):
+        run = simulate(dynamics, x, until=found.duration)
+        assert run.zeno_points
+        assert run.zeno_points[0].time <= found.duration
+
+
+def test_a_law_without_bounds_has_no_neighbourhood() -> None:
+    root, capped = ball(LAWS["root"]), ball(LAWS["capped power"])
+    report = equilibrium_report(root, root.values(), (0.0, 0.0))
+    assert report.has_zeno_executions
+    assert report.neighbourhood is None
+    with pytest.raises(InputError, match="the operation `fmin` is not known to be analytic"):
+        equilibrium_report(capped, capped.values(), (0.0, 0.0))
 
 
 def _answer(capsys: pytest.CaptureFixture[str], code: int, *words: str) -> Any:

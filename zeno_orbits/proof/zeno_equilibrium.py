@@ -127,7 +127,7 @@ def equilibrium_report(
 
     Raises:
         InputError: If the state violates a holonomic constraint, or if the neighbourhood cannot be
-            computed: a restitution that is not constant, an operation without bounds.
+            computed: a restitution that depends on the state, an operation without bounds.
     """
     x = np.array(state, dtype=np.float64)
     dynamics = _dynamics_at(problem, numbers, x)
@@ -202,32 +202,42 @@ def _size(found: ZenoNeighbourhood | None) -> float:
     return math.log(found.gap_rate) + float(np.mean(np.log(found.radii)))
 
 
+_Over = tuple[Vector, Vector, float, float]
+"""Bounds of the flow, of the impulse direction and of the pull over a box."""
+
+
 class _Bounds:
     """Bounds of a problem's formulas over boxes around a state, and their neighbourhoods."""
 
     def __init__(self, problem: Problem, numbers: ParameterValues, state: Vector) -> None:
         symbols = problem.symbols()
         system = problem.one_stop_model(symbols)
-        if system.law_numbers.numel() != 1 or ca.depends_on(system.law_numbers, system.state):
-            raise InputError("A neighbourhood needs impacts with a constant restitution.")
-        outputs = [system.free_flow, system.impulse_direction, system.gap_acceleration]
+        if ca.depends_on(system.law_numbers, system.state):
+            raise InputError(
+                "A neighbourhood needs a restitution that does not depend on the state."
+            )
+        speed = ca.SX.sym("speed")
+        law = ca.SX(system.law.at(speed))
+        outputs = [system.free_flow, system.impulse_direction, system.gap_acceleration, law]
         parameters = ca.vertcat(*symbols.values())
         function = ca.Function(
-            "bounds", [system.state, parameters], [ca.densify(one) for one in outputs]
+            "bounds", [system.state, parameters, speed], [ca.densify(one) for one in outputs]
         )
         self._graph, self._state = Graph(), state
         self._x = [self._graph.put("input") for _ in range(len(state))]
         places = [self._graph.put("input") for _ in numbers.vector]
+        self._speed = self._graph.put("input")
         try:
-            nodes = walked(function, self._graph, [self._x, places])
+            nodes = walked(function, self._graph, [self._x, places, [self._speed]])
             require_analytic(self._graph, [node for group in nodes for node in group])
         except NotProved as error:
             raise InputError(f"A neighbourhood cannot be computed: {error}.") from error
-        self._outputs = [node for group in nodes for node in group]
+        *self._outputs, self._law = [node for group in nodes for node in group]
         self._numbers = {
             k: _ball(Fraction(value), Fraction(0))
             for k, value in zip(places, numbers.vector, strict=True)
         }
+        self._is_constant = system.law.of_speed is None
         self._restitution = _dynamics_at(problem, numbers, state).restitution
 
     def neighbourhood(self, sides: Vector) -> ZenoNeighbourhood | None:
@@ -241,7 +251,8 @@ class _Bounds:
         factor :math:`\rho = e \sqrt{A / \alpha}` per impact, and all impacts occur within
         :math:`T = t_1 + 2 e w / (\alpha (1 - \rho))`. A state moves by at most
         :math:`F_i T + (1 + e) D_i w / (1 - \rho)`. This must not exceed half of the box, since
-        motions start in the inner half of the box.
+        motions start in the inner half of the box. If the restitution depends on the speed, `e` is
+        its largest value up to the speed `w`, and `V` is halved until that value allows it.
 
         Args:
             sides: Half the sides of the box, ``(n_x,)``.
@@ -249,9 +260,21 @@ class _Bounds:
         found = self._over(sides)
         if found is None:
             return None
+        wanted = self._rate(sides, found, self._restitution)
+        if wanted is None or self._is_constant:
+            return wanted and self._found(sides, found, *wanted)
+        for k in range(_HALVINGS):
+            most = wanted[0] * 2.0**-k
+            e = self._largest_restitution(most * math.sqrt(1 + found[3] / found[2]))
+            allowed = None if e is None else self._rate(sides, found, e)
+            if allowed is not None and allowed[0] >= most:
+                return self._found(sides, found, most, allowed[1])
+        return None
+
+    def _rate(self, sides: Vector, found: _Over, e: float) -> tuple[float, float] | None:
+        """Return `V` and `T / V` for a restitution, or ``None`` if no motion stays in the box."""
         flow, direction, weakest, strongest = found
-        e, ratio = self._restitution, math.sqrt(strongest / weakest)
-        fall = e * ratio * (1 + _ROUNDING)
+        fall = e * math.sqrt(strongest / weakest) * (1 + _ROUNDING)
         if fall >= 1.0:
             return None
         # All bounds are proportional to V. The following bounds are for V = 1.
@@ -262,7 +285,10 @@ class _Bounds:
         moves = way > 0.0
         if not np.any(moves):
             return None
-        rate = float(np.min(sides[moves] / 2 / way[moves])) * (1 - _ROUNDING)
+        return float(np.min(sides[moves] / 2 / way[moves])) * (1 - _ROUNDING), time
+
+    def _found(self, sides: Vector, found: _Over, rate: float, time: float) -> ZenoNeighbourhood:
+        _, _, weakest, strongest = found
         return ZenoNeighbourhood(
             centre=tuple(map(float, self._state)),
             radii=tuple(map(float, sides / 2)),
@@ -272,7 +298,20 @@ class _Bounds:
             pull=(weakest, strongest),
         )
 
-    def _over(self, sides: Vector) -> tuple[Vector, Vector, float, float] | None:
+    def _largest_restitution(self, speed: float) -> float | None:
+        """Return the largest restitution up to a speed, ``None`` if it may lie outside [0, 1]."""
+        half = Fraction(speed * (1 + _ROUNDING)) / 2
+        try:
+            (found,) = values(
+                self._graph, self._numbers | {self._speed: _ball(half, half)}, [self._law]
+            )
+        except NotProved:
+            return None
+        unit = 2.0**-_BITS
+        high = float(found.high) * unit * (1 + _ROUNDING)
+        return high if float(found.low) >= 0.0 and high <= 1.0 else None
+
+    def _over(self, sides: Vector) -> _Over | None:
         """Return bounds of flow, impulse and pull over a box, or ``None`` for an unbounded pull."""
         box = {
             place: _ball(Fraction(float(x)), Fraction(float(side)))

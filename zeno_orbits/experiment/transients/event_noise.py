@@ -20,7 +20,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.experiment.transients.motion import TransientMotion
-from zeno_orbits.experiment.transients.shooting import Shooting, event_times, matched
+from zeno_orbits.experiment.transients.shooting import Shooting, matched
 from zeno_orbits.experiment.transients.staged_fit import StagedFit
 from zeno_orbits.simulation import Impact
 
@@ -28,8 +28,9 @@ _LEAST, _LEAST_KNOWN = 4, 1
 """Events more than unknowns from which both variances are estimated, or the scatter alone."""
 _USUAL, _SPREAD = math.log(0.05), 1.5
 """Logarithm of the scatter of real impacts, 1 to 10 %, and its spread."""
-_REACH, _HELD = 10.0, 1.001
-"""Factors around a known jitter within which it is estimated, or held."""
+_BELOW, _ABOVE, _HELD = 10.0, 3.0, 1.001
+"""Factors below and above a known jitter within which it is estimated, or around it, held. Impacts
+in a gap are seen to a twentieth of a sampling time, or to a whole one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,8 +85,8 @@ def event_noise(
     else:
         bounds = None
         if expected is not None:
-            reach = _REACH if len(rest) - free >= _LEAST else _HELD
-            bounds = expected / reach, expected * reach
+            few = len(rest) - free < _LEAST
+            bounds = expected / (_HELD if few else _BELOW), expected * (_HELD if few else _ABOVE)
         likely = _likely((rest, beside[0]), every[:, moved], blocks, floor, bounds)
         noise = replace(likely, longest=_longest(shooting))
     return noise, tuple(_whitening(noise, block) for block in blocks)
@@ -188,7 +189,8 @@ def _linear(shooting: Shooting, z: Vector, k: int) -> tuple[Vector, Vector, Vect
         if column is not None:
             columns.append(column)
     deviations = np.stack(columns, axis=1) if columns else np.zeros((trial.n_events, 0))
-    return event_times(trial) - found.events, found.by_events, deviations
+    slopes = found.event_slopes
+    return -found.event_rests, slopes @ found.by_events, slopes @ deviations
 
 
 def _column(

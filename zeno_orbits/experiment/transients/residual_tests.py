@@ -299,7 +299,7 @@ def deviation_rows_of_trial(
                     for one in trial.series
                     for found in [matched(one, own.motion.events(one.kind, one.stop))]
                 ]
-                parts.append(shooting.whitening[k] @ np.concatenate(late))
+                parts.append(shooting.whitening[k] @ own.event_slopes @ np.concatenate(late))
         except SimulationError:
             # The last impacts before a Zeno point have no derivative of their own.
             continue

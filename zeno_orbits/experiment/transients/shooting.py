@@ -204,7 +204,7 @@ class Shooting:
             if trial.n_events:
                 due = event_times(trial) <= found.horizon
                 white = self.whitening[k][np.ix_(due, due)]
-                rests.append(white @ (found.events - event_times(trial))[due])
+                rests.append(white @ found.event_rests[due])
         return np.concatenate(rests)
 
     def rows(self, predictions: Sequence[Prediction]) -> Vector:
@@ -219,7 +219,8 @@ class Shooting:
             rows.append((found.by_signals / trial.noise[:, None])[trial.seen[:n]])
             if trial.n_events:
                 due = event_times(trial) <= found.horizon
-                rows.append(self.whitening[k][np.ix_(due, due)] @ found.by_events[due])
+                by = found.event_slopes @ found.by_events
+                rows.append(self.whitening[k][np.ix_(due, due)] @ by[due])
         return np.concatenate(rows)
 
     def channel_noise(self, z: Vector) -> list[Vector]:
@@ -362,6 +363,37 @@ class Prediction:
     def by_events(self) -> Vector:
         """Their derivatives, ``(n_e, n_z)``."""
         return self._events[1]
+
+    @cached_property
+    def _along_flights(self) -> tuple[Vector, Vector]:
+        times, recorded = self.events, event_times(self._own)
+        rests, slopes = times - recorded, np.eye(len(times))
+        at = 0
+        for one in self._own.series:
+            for k in range(at + 1, at + len(one.times)):
+                flight, seen = times[k] - times[k - 1], recorded[k] - recorded[k - 1]
+                if one.kind is EventKind.IMPACT and flight > 0.0 and seen > 0.0:
+                    rests[k] = rests[k - 1] + seen * math.log(flight / seen)
+                    slopes[k] = slopes[k - 1]
+                    slopes[k, k - 1 : k + 1] += np.array([-1.0, 1.0]) * seen / flight
+            at += len(one.times)
+        return rests, slopes
+
+    @property
+    def event_rests(self) -> Vector:
+        r"""Predicted minus recorded event times, ``(n_e,)`` [s].
+
+        A deviation of the restitution multiplies all later flights. So the residuals grow by
+        :math:`T_r\ln (T / T_r)` from impact to impact, with the flight `T` and the recorded one
+        :math:`T_r`: to first order by the difference of both, and linear in the logarithms of the
+        restitutions far from the motion too.
+        """
+        return self._along_flights[0]
+
+    @property
+    def event_slopes(self) -> Vector:
+        """Their derivatives with respect to the predicted event times, ``(n_e, n_e)``."""
+        return self._along_flights[1]
 
 
 def independent_whitening(trial: TrialData) -> Vector:

@@ -132,9 +132,12 @@ class HybridDynamics:
         if self.formulas is not None and self.formulas.parts != self.formula_parts:
             object.__setattr__(self, "formulas", None)
         if self.restitution_at is not None and not 0.0 < self.restitution < 1.0:
+            limit = round(float(self.restitution), 9) + 0.0
+            plastic = "For plastic impacts, write a constant restitution of 0."
             raise InputError(
                 "Argument `restitution` must have a limit between 0 and 1 at speed 0 if it depends "
-                f"on `impact_speed`, but the limit is {round(float(self.restitution), 9) + 0.0:g}."
+                f"on `impact_speed`, but the limit is {limit:g}. "
+                f"{plastic if limit == 0.0 else 'Change the values of the law.'}"
             )
         if not 0.0 <= self.restitution <= 1.0:
             # All digits: a formula may exceed 1 by rounding.
