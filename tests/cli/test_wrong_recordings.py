@@ -92,7 +92,7 @@ WRONG: Mapping[str, tuple[str | bytes, str, str]] = {
     "date as a time": (
         rowed(lambda rows: ["2026-01-01 12:00,1,1,1", *rows]),
         "line 5 has `2026-01-01 12:00` where column `time [s]`",
-        "correct or empty it",
+        "write seconds since the start",
     ),
     "short row": (
         rowed(lambda rows: ["0,1", *rows[1:]]),
@@ -150,7 +150,7 @@ WRONG: Mapping[str, tuple[str | bytes, str, str]] = {
         "line 5 has 1 column where line 4 names 4",
         "separated by `,`: use one separator",
     ),
-    "UTF-16": (WHOLE.encode("utf-16"), "it is UTF-16 text", "save it as UTF-8"),
+    "UTF-16": (WHOLE.encode("utf-16")[:-1], "it is broken UTF-16 text", "save it as UTF-8"),
     "spreadsheet": (b"PK\x03\x04\x00\x00rest\n", "it holds zero bytes", "save it as text"),
 }
 

@@ -30,6 +30,10 @@ _FRAMES = ("frame", "frames", "frame number", "frame no", "image")
 """Names of a column of frame numbers, in lower case."""
 _TITLE = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\))\s*")
 _SIZED = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(.*)")
+_POWERS = str.maketrans({"²": "^2", "³": "^3", "·": "*"})
+"""Signs of units that have another spelling in problems."""
+_WORD = 4
+"""Letters at least of a unit in words, which no symbol of a quantity is."""
 _GRAVITY = 9.80665
 """Standard gravity [m/s^2], in which many instruments count accelerations."""
 
@@ -110,7 +114,7 @@ def sized(name: str, text: str) -> tuple[str, float]:
     found = _SIZED.fullmatch(text)
     number, unit = (found[1], found[2]) if found and found[2] else ("1", text)
     try:
-        si, size = in_si(unit)
+        si, size = in_si(unit.translate(_POWERS))
         size *= float(number)
     except ValueError as error:
         raise InputError(f"Argument `units`: {error}") from error
@@ -137,6 +141,7 @@ def columns_of(head: Head, known: Mapping[str, str], notes: ColumnNotes) -> tupl
         (name, unit if below is None or unit is not None else below)
         for (name, unit), below in zip(titled, units, strict=False)
     ]
+    titled = [(name, unit_in_words(name) if unit is None else unit) for name, unit in titled]
     named = [name for name, _ in titled]
     for title in notes.names:
         if _place(title, head.columns, named) is None:
@@ -168,6 +173,15 @@ def _place(title: str, titles: Sequence[str], names: Sequence[str]) -> int | Non
     return number - 1 if 1 <= number <= len(titles) else None
 
 
+def unit_in_words(title: str) -> str | None:
+    """Return the unit that a whole title is, such as `Volt`, or ``None`` for another title."""
+    word = title.strip().lower()
+    try:
+        return word if len(word) >= _WORD and in_si(word) else None
+    except ValueError:
+        return None
+
+
 def _split(title: str) -> tuple[str, str | None]:
     found = _TITLE.fullmatch(title)
     return (found[1], found[2] or found[3] or "") if found else (title, None)
@@ -185,7 +199,8 @@ def _column(
     one = Column(title=title, name=name, zero=notes.zeros.get(name, 0.0))
     if name.lower() in _FRAMES and notes.frame_rate is not None:
         return replace(one, name="time", unit="s", size=1.0 / notes.frame_rate, is_time=True)
-    one = replace(one, is_time=name.lower() in TIMES)
+    # Some instruments write units in place of titles.
+    one = replace(one, is_time=name.lower() in (*TIMES, "second", "seconds"))
     where = f"line {head.line}"
     if name in notes.units:
         si, size = sized(name, notes.units[name])
@@ -197,7 +212,7 @@ def _column(
         si, size = "m/s^2", _GRAVITY
     else:
         try:
-            si, size = in_si(unit)
+            si, size = in_si(unit.translate(_POWERS))
         except ValueError as error:
             told = f"{where}: the unit of column `{name}` is not clear: {error}"
             return replace(one, trouble=told)

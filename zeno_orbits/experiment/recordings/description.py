@@ -14,7 +14,11 @@ import numpy as np
 from zeno_orbits.errors import DataFileError
 from zeno_orbits.experiment.recordings.columns import Column, ColumnNotes, columns_of
 from zeno_orbits.experiment.recordings.heads import read_head
-from zeno_orbits.experiment.recordings.recording import Recording, read_recording
+from zeno_orbits.experiment.recordings.recording import (
+    ONE_OF_TWO,
+    Recording,
+    read_recording,
+)
 from zeno_orbits.experiment.transients.event_record import event_kind_of, read_event_file
 from zeno_orbits.work import checked
 
@@ -152,7 +156,9 @@ def _once(columns: Collection[Column], line: int) -> tuple[Column, ...]:
     """Return columns of which those that share a name do not count."""
     count = Counter(one.name for one in columns)
     return tuple(
-        replace(one, trouble=f"line {line}: two of its columns are named `{one.name}`")
+        replace(
+            one, trouble=f"line {line}: two of its columns are named `{one.name}`: {ONE_OF_TWO}"
+        )
         if count[one.name] > 1 and one.name
         else one
         for one in columns

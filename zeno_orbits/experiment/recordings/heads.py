@@ -22,13 +22,17 @@ _PIECE = 1 << 22
 _SEPARATORS = ("\t", ";", ",")
 """In the order of the search: a comma may also be a decimal sign."""
 
-MISSING = frozenset({"", "-", "nan", "na", "n/a", "#n/a", "null", "none", "missing"})
-"""Marks for a missing value, in lower case."""
+MISSING = frozenset({"", "-", "nan", "na", "n/a", "#n/a", "null", "none", "missing", "x"})
+"""Marks for a missing value, in lower case. Logic analysers write `X`."""
 
 _TIME_ALONE = re.compile(r"t(ime)?\s*([\[(][^\])]*[\])])?", flags=re.IGNORECASE)
 """A line of titles that names the time and nothing else."""
 
+_LABELLED = re.compile(r"[^\d\s:][^:]*:\s*[-+.\d][-+.\deE]*")
+"""An entry that names its quantity beside the number."""
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
+COMMENT = "comment"
+"""Title of a last column, in lower case, that lines of values may lack."""
 _MOST_LINES = 400
 """Lines in which the values must begin."""
 
@@ -89,9 +93,21 @@ def read_head(path: Path, *, untitled: bool = False) -> Head:
     if head is None:
         number, text = lines[0]
         head = _of_titles(path, text.strip(), tuple(comments), number)
+    earlier = next((n for n, text in lines if n < head.line and _is_like(text, head)), None)
+    if earlier is not None and head.numeric:
+        told = f"line {earlier} has values above the titles in line {head.line}"
+        raise DataFileError(path, f"{told}: split the file there, or delete the part above")
     if any(map(CONTROLS.search, head.columns)):
         raise DataFileError(path, f"line {head.line} holds control characters in a title")
     return head
+
+
+def _is_like(text: str, head: Head) -> bool:
+    """Return True if a line has numbers in the columns of numbers of a header."""
+    row = _parts(text, head.separator)
+    known = zip(_numbers(row, missing=True), head.numeric, strict=False)
+    fits = len(row) in (len(head.columns), len(head.columns) - 1)
+    return fits and sum(_numbers(row)) > 1 and all(one for one, wanted in known if wanted)
 
 
 def _above_values(
@@ -127,9 +143,11 @@ def _head_at(
 ) -> Head | None:
     """Return the header of values that begin at a line, or ``None`` if no titles fit them."""
     values = _parts(lines[first][1], separator)
-    numeric = _numbers(values, missing=True)
     last = lines[first - 1][0] if first else lines[0][0] - 1
     above = [_parts(text, separator) for _, text in lines[max(0, first - 2) : first]]
+    if above and len(above[-1]) == len(values) + 1 and above[-1][-1].lower() == COMMENT:
+        values.append("no comment")
+    numeric = _numbers(values, missing=True)
     titles = above[-1] if above and _names(above[-1], values) else None
     # A wrong line among the values is no line of titles, and those above it are not left out.
     numbers = [_numbers(row) for row in above]
@@ -224,6 +242,9 @@ def _of_titles(path: Path, text: str, comments: tuple[str, ...], line: int) -> H
         wanted = "must separate its columns by commas, semicolons or tabs"
         raise DataFileError(path, f"line {line} {wanted}: `{short(text)}`")
     columns = tuple(_parts(text, separator))
+    if all(map(_LABELLED.fullmatch, columns)):
+        told = f"line {line} names a quantity beside each number, `{short(columns[0])}`"
+        raise DataFileError(path, f"{told}: write a line of titles, and numbers alone below it")
     if all(number_of(part.replace(",", ".")) is not None for part in columns):
         raise DataFileError(
             path,
@@ -257,7 +278,7 @@ def pieces_of(file: BinaryIO) -> Iterator[str]:
     first = True
     while data := file.read(_PIECE):
         if first and data.startswith(_UTF16):
-            raise DataFileError(path, "it is UTF-16 text; save it as UTF-8")
+            data = _from_utf16(path, data + file.read())
         if b"\0" in data:
             raise DataFileError(
                 path, "it holds zero bytes, which no text has: save it as text, such as CSV"
@@ -271,6 +292,18 @@ def pieces_of(file: BinaryIO) -> Iterator[str]:
             yield _text(data[:end])
     if rest:
         yield _text(rest)
+
+
+def _from_utf16(path: Path, data: bytes) -> bytes:
+    """Return a text that spreadsheets write as UTF-16 as UTF-8.
+
+    Raises:
+        DataFileError: If it is cut or mixed.
+    """
+    try:
+        return data.decode("utf-16").encode()
+    except UnicodeError as error:
+        raise DataFileError(path, "it is broken UTF-16 text; save it as UTF-8") from error
 
 
 def _text(data: bytes) -> str:

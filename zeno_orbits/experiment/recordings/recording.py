@@ -41,8 +41,14 @@ FORMAT = 1
 """Version of the file format that this code writes, and the newest that it reads."""
 
 _MAGIC = re.compile(r"zeno-orbits data (\d+)")
+_TIMELY = re.compile(r"\b(time|zeit)\b", flags=re.IGNORECASE)
+"""A title that may be that of the times."""
 _ROWS = 1 << 16
 """Rows that are written at a time."""
+ONE_OF_TWO = "rename or delete one, or name it by its number, such as --column 2=NAME"
+"""Remedy for two columns with one name."""
+_FEW, _UNEVEN = 3, 1.5
+"""Steps of a file of changes at least, and ratio of its longest to its shortest step."""
 _GAP = 5.0
 """A pause of so many usual steps counts as a gap."""
 
@@ -240,7 +246,7 @@ def read_recording(
     for k in chosen:
         if names.count(names[k]) > 1:
             twice = f"line {head.line}: two of its columns are named `{names[k]}`"
-            raise DataFileError(path, f"{twice}: rename or delete one")
+            raise DataFileError(path, f"{twice}: {ONE_OF_TWO}")
     if units is not None and not chosen:
         raise DataFileError(path, _no_signal(head, names, known, notes))
     for k in (*(() if time is None else (time,)), *chosen):
@@ -283,6 +289,7 @@ def _of_columns(
             row += 0.0
     values = table.values if kept is None else table.values[:, kept]
     remarks += _missing(values[1:], [names[k] for k in chosen]) + _gaps(values[0])
+    remarks += _changes(values)
     return Recording(
         source=_source(path, notes),
         problem=_problem(notes),
@@ -383,7 +390,7 @@ def _time_column(
     names = [one.name for one in columns]
     titled = shorten(", ".join(names), 400, placeholder=" ...")
     count = "no" if not found else "more than one"
-    near = next((name for name in names if did_you_mean(name, ("time",))), "")
+    near = next((one for one in names if did_you_mean(one, ("time",)) or _TIMELY.search(one)), "")
     remedy = f"rename `{near}` to `time`" if near and not found else "name one column `time`"
     said = f"line {head.line} has {count} column named `time` (its columns: {titled})"
     raise DataFileError(path, f"{said}: {remedy}")
@@ -433,6 +440,21 @@ def _missing(values: Vector, names: list[str]) -> tuple[str, ...]:
         if missing:
             remarks.append(f"`{name}` is missing in {missing} of {counted(len(row), 'row')}")
     return tuple(remarks)
+
+
+def _changes(values: Vector) -> tuple[str, ...]:
+    """Return a remark if every row is a change of a channel of zeros and ones."""
+    rows = values[1:]
+    known = np.isfinite(rows)
+    steps = np.diff(values[0])
+    if len(steps) < _FEW or not known.any() or not np.isin(rows[known], (0.0, 1.0)).all():
+        return ()
+    both = known[:, 1:] & known[:, :-1]
+    changed = np.any(both & (rows[:, 1:] != rows[:, :-1]), axis=0)
+    if not changed.all() or np.max(steps) < _UNEVEN * np.min(steps):
+        return ()
+    told = "its rows are changes of its channels, which are not sampled between"
+    return (f"{told}: record at a fixed rate, or give the times as a column `impact [s]`",)
 
 
 def _gaps(time: Vector) -> tuple[str, ...]:

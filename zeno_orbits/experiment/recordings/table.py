@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import DataFileError
 from zeno_orbits.experiment.recordings.heads import (
+    COMMENT,
     MISSING,
     Head,
     number_of,
@@ -25,6 +27,9 @@ from zeno_orbits.experiment.recordings.heads import (
     pieces_of,
     short,
 )
+
+_CLOCK = re.compile(r"\d:\d\d")
+"""A time of the day."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -141,6 +146,8 @@ class _Reader:
     def row(self, text: str, line: int, *, cut_short: bool) -> list[float] | None:
         parts = [part.strip().strip('"').strip() for part in text.split(self.head.separator)]
         n_columns = len(self.head.columns)
+        if len(parts) == n_columns - 1 and self.head.columns[-1].lower() == COMMENT:
+            parts.append("")
         if len(parts) < n_columns and cut_short:
             self.remarks.append(f"line {line}, the last, is cut short and was left out")
             return None
@@ -165,6 +172,8 @@ class _Reader:
         if number is None:
             title = self.head.columns[column]
             message = f"line {line} has `{short(text)}` where column `{title}` has a number"
+            if _CLOCK.search(text):
+                raise DataFileError(self.path, f"{message}: write seconds since the start")
             raise DataFileError(self.path, f"{message}: correct or empty it")
         return number
 
