@@ -88,7 +88,7 @@ def _end(
     """
     if far == 0.0 or not math.isfinite(far):
         return edge
-    inner, at_inner = 0.0, 0.0
+    inner, outer = (0.0, 0.0), None
     step = math.copysign(min(abs(far), abs(edge) * 0.999), far)
     z = fit.z.copy()
     for _ in range(_ROUNDS):
@@ -97,19 +97,19 @@ def _end(
         try:
             one = fitted(shooting, start, fixed=k, steps=_STEPS)
         except LostStartError:
-            return inner or step
+            return inner[0] or step
         root = math.sqrt(max(one.cost - fit.cost, 0.0))
         if abs(root / limit - 1.0) < _NEAR or (root < limit and abs(step) >= 0.998 * abs(edge)):
             return step
-        # A chord from the last end inside the interval, or from the optimum.
         if root < limit:
-            inner, at_inner, z = step, root, one.z
-        slope = (root - at_inner) / (step - inner) if step != inner and root != at_inner else 0.0
-        if slope == 0.0 or root == 0.0:
-            step = 2.0 * step
-        elif root < limit:
-            step *= min(limit / root, 3.0)
+            inner, z = (step, root), one.z
         else:
-            step = inner + (limit - at_inner) / slope
+            outer = step, root
+        if outer is None:
+            step *= min(limit / max(root, 1e-300), 3.0)
+        else:
+            # The root is nearly linear between an end inside the interval and one beyond it.
+            slope = (outer[1] - inner[1]) / (outer[0] - inner[0])
+            step = inner[0] + (limit - inner[1]) / slope
         step = math.copysign(min(abs(step), 0.999 * abs(edge)), far)
     return step
