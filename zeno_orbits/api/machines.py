@@ -94,6 +94,7 @@ def compare(
     recording: Recording | str | Path,
     *,
     problem: Named | None = None,
+    fit: Sequence[str] = (),
     t_start: float | None = None,
     t_end: float | None = None,
     on_progress: Progress = silent,
@@ -105,6 +106,8 @@ def compare(
         recording: The recording, or its file. Signals with the name of a state, motor or output of
             the problem are compared, and contact channels.
         problem: The orbit's problem. The default is the bundled problem of its name.
+        fit: Gains and offsets of channels to determine, ``CHANNEL.gain`` and ``CHANNEL.offset``. A
+            channel without a known scale and zero, such as a track in pixels, counts by its shape.
         t_start: First time of the recording that counts [s].
         t_end: Last time of the recording that counts [s].
         on_progress: Called with the stage and the part of it that is done.
@@ -118,9 +121,10 @@ def compare(
 
     found = any_orbit(orbit)
     known = problem_of(found, problem)
+    errors = _instrument_errors(known, found.values(known), fit)
     data = recording_for(known, recording, t_start, t_end, on_progress)
     on_progress("comparing", None)
-    return compared(found, known, data)
+    return compared(found, known, data, [word for one in errors for word in one.readings])
 
 
 @front_door
@@ -380,6 +384,7 @@ def compare_transient(
     problem: Named,
     recording: Recording | str | Path | Sequence[Recording | str | Path],
     *,
+    fit: Sequence[str] = (),
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
     start: Numbers | None = None,
@@ -390,11 +395,14 @@ def compare_transient(
 ) -> TransientComparison:
     """Return transients compared with the motion of a problem, impact by impact.
 
-    Only the initial values are fitted. The result tests whether the residuals have structure.
+    Only the initial values are fitted, and errors of instruments that are named. The result tests
+    whether the residuals have structure.
 
     Args:
         problem: The problem, its name or its file.
         recording: The recording or its file, or several trials.
+        fit: Errors of instruments to determine: ``CHANNEL.gain``, ``CHANNEL.offset`` and
+            ``clock_rate``.
         gains: Gains that differ from their defaults.
         parameters: Parameters that differ from their defaults.
         start: Known initial values, as for `identify`.
@@ -416,6 +424,7 @@ def compare_transient(
         known,
         values,
         trials,
+        _instrument_errors(known, values, fit),
         start=named_numbers("start", start),
         free=initial,
         on_progress=on_progress,
@@ -775,6 +784,23 @@ def recording_for(
 _DECADE, _THRICE = 10.0, 3.0
 _LEAST_RESTITUTION, _MOST_RESTITUTION = 0.02, 0.98
 """Range of a restitution by default in a fit of transients, in which impacts accumulate in time."""
+
+
+def _instrument_errors(
+    problem: Problem, values: ParameterValues, fit: Sequence[str]
+) -> tuple[FitParameter, ...]:
+    """Return the errors of instruments that a comparison determines.
+
+    Raises:
+        InputError: If a name is that of no such error.
+    """
+    found = _unknowns(problem, values, fit, transient=True)
+    for one in found:
+        if len(one.readings) != 1 or len(one.names) != 1:
+            wanted = "must name CHANNEL.gain, CHANNEL.offset or clock_rate"
+            told = f"Argument `fit` {wanted}, but it has `{one.label}`"
+            raise InputError(f"{told}: `identify` fits parameters.")
+    return found
 
 
 def _unknowns(

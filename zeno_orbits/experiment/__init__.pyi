@@ -6,6 +6,7 @@ from .comparison.counterpart import recording_counterpart as recording_counterpa
 from .comparison.counterpart import rig_counterpart as rig_counterpart
 from .comparison.deviations import Deviations as Deviations
 from .comparison.deviations import Portrait as Portrait
+from .comparison.estimate import Estimate as Estimate
 from .comparison.metrics import Metric as Metric
 from .comparison.signal_metrics import recorded_portraits_of as recorded_portraits_of
 from .identification.identification import FittedParameter as FittedParameter

@@ -129,11 +129,21 @@ def add_compare(commands: Any) -> None:
             "zeno-orbits compare orbit.json data.csv --t-start 12 --plot compared.png",
             "zeno-orbits compare orbit.json data.csv --t-start 12 --json",
             "zeno-orbits compare bouncing_ball drop.csv --set restitution=0.8 --plot drop.png",
+            "zeno-orbits compare bouncing_ball track.csv --fit height.gain,height.offset",
         ],
     )
     add_problem(parser, "an orbit file, or for transients a problem's name or Python file")
     add_problem_file(parser, "problem_file")
     add_recording(parser)
+    parser.add_argument(
+        "--fit",
+        type=_read_names,
+        default=(),
+        metavar="NAME,...",
+        help="errors of instruments to determine first: CHANNEL.gain and CHANNEL.offset of a "
+        "channel without a known scale or zero, such as a track in pixels; for transients also "
+        "clock_rate",
+    )
     _add_trials(parser)
     parser.add_argument(
         "--plot",
@@ -197,6 +207,7 @@ def _run_compare(options: argparse.Namespace) -> int:
             orbit,
             options.data,
             problem=problem,
+            fit=options.fit,
             t_start=options.t_start,
             t_end=options.t_end,
             on_progress=progress,
@@ -225,6 +236,7 @@ def _run_compare_transient(options: argparse.Namespace) -> int:
         found = api.compare_transient(
             problem,
             [options.data, *options.trials],
+            fit=options.fit,
             gains=gains,
             parameters=parameters,
             start=options.start,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,10 +21,11 @@ from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_fit import ContactFit, fit_contacts
 from zeno_orbits.experiment.comparison.contact_gaps import contradictions
 from zeno_orbits.experiment.comparison.deviations import N_BINS, Deviations, deviations
-from zeno_orbits.experiment.comparison.estimate import Estimate
+from zeno_orbits.experiment.comparison.estimate import Estimate, instruments_json
 from zeno_orbits.experiment.comparison.event_contacts import coarse_channel
 from zeno_orbits.experiment.comparison.gap_model import gap_model, recorded_gap
 from zeno_orbits.experiment.comparison.gap_samples import stop_level
+from zeno_orbits.experiment.comparison.instrument_errors import without_errors
 from zeno_orbits.experiment.comparison.metrics import (
     Metric,
     contact_metrics,
@@ -45,6 +46,7 @@ from zeno_orbits.experiment.comparison.verdict import (
     contact_finding,
     differing,
 )
+from zeno_orbits.experiment.identification.instruments import InstrumentReading
 from zeno_orbits.experiment.orbit_table import GAP, STOP, OrbitTable, PeriodTable
 from zeno_orbits.experiment.recordings.contacts import contact_channels, contact_names
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
@@ -88,6 +90,8 @@ class Comparison(TableRepr):
         unresolved: Reasons why the recording is inconclusive. It is empty for a conclusive
             recording.
         remarks: Further findings.
+        instruments: Gains and offsets of channels that were determined, by ``CHANNEL.gain`` and
+            ``CHANNEL.offset``. The recording is corrected by them.
     """
 
     orbit: Orbit
@@ -100,6 +104,7 @@ class Comparison(TableRepr):
     reasons: tuple[str, ...] = ()
     unresolved: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    instruments: Mapping[str, Estimate] = field(default_factory=dict[str, Estimate])
 
     def __repr__(self) -> str:
         """Return one line: the verdict, the signals, and the reasons."""
@@ -195,11 +200,17 @@ class Comparison(TableRepr):
             "signals": list(self.signals),
             "cycles": None if self.period is None else self.period.n_cycles,
             "release_time": None if self.where is None else plain_number(self.where.release),
+            "instruments": instruments_json(self.instruments),
             "metrics": {one.name: one.as_json() for one in self.metrics},
         }
 
 
-def compare_recording(orbit: Orbit, problem: Problem, recording: Recording) -> Comparison:
+def compare_recording(
+    orbit: Orbit,
+    problem: Problem,
+    recording: Recording,
+    readings: Sequence[InstrumentReading] = (),
+) -> Comparison:
     """Compare a recording with an orbit.
 
     Args:
@@ -207,13 +218,20 @@ def compare_recording(orbit: Orbit, problem: Problem, recording: Recording) -> C
         problem: Its problem.
         recording: The recording. Signals with the name of a state, a motor or an output of the
             problem count, and contact channels.
+        readings: Unknown gains and offsets of channels, which are determined first.
 
     Raises:
         InputError: If no signal or channel is known to the problem, the unit of a signal measures
             another quantity, or a channel is invalid.
         SimulationError: If the orbit is not periodic in simulation.
     """
-    found = _compared(orbit, problem, recording)
+    errors: Mapping[InstrumentReading, Estimate] = {}
+    if readings:
+        graph = problem.graph_dynamics(orbit.values(problem)) if problem.has_graph else None
+        titles = contact_names((STOP,) if graph is None else graph.stop_names)
+        recording, errors = without_errors(orbit, problem, recording, readings, titles)
+    named = {f"{one.channel}.{one.kind.value}": errors[one] for one in errors}
+    found = replace(_compared(orbit, problem, recording), instruments=named)
     other = tuple(_other_problem(recording, problem)) if found.reasons else ()
     if not other:
         return found

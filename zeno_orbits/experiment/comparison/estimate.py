@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,17 @@ class Estimate:
 
 
 UNKNOWN = Estimate(value=math.nan, error=math.nan)
+
+
+def instruments_json(errors: Mapping[str, Estimate]) -> dict[str, dict[str, float | None]]:
+    """Return errors of instruments as plain data, with null for unknown errors."""
+    return {
+        name: {
+            "value": one.value,
+            "standard_error": one.error if math.isfinite(one.error) else None,
+        }
+        for name, one in errors.items()
+    }
 
 
 def step_of(row: Vector) -> float:

@@ -20,6 +20,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
+from zeno_orbits.experiment.identification.instruments import instruments_of
 from zeno_orbits.experiment.transients.shooting import Shooting, event_times, matched
 from zeno_orbits.experiment.transients.staged_fit import StagedFit
 from zeno_orbits.simulation import Impact
@@ -278,7 +279,7 @@ def deviation_rows_of_trial(
     impacts = _resolved(shooting, k, own.motion.execution.impacts, stop, own.offset)[:most]
     columns, speeds = list[Vector](), list[float]()
     n_x, p = len(shooting.graph.state_names), shooting.parameters(z)
-    instruments = shooting.unknowns.instruments(trial.measured.names)
+    instruments = instruments_of(shooting.unknowns.readings, trial.measured.names)
     values = shooting.values(z)
     times = trial.time / instruments.stretch(values) - own.offset
     slopes = (

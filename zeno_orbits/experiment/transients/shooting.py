@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.identification.instruments import Instruments
+from zeno_orbits.experiment.identification.instruments import Instruments, instruments_of
 from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.transients.event_labels import sequences_of
 from zeno_orbits.experiment.transients.event_record import EventSeries
@@ -154,7 +154,7 @@ class Shooting:
         return found if np.isfinite(found.signals).all() else None
 
     def _instruments(self, trial: TrialData) -> Instruments:
-        return self.unknowns.instruments(trial.measured.names)
+        return instruments_of(self.unknowns.readings, trial.measured.names)
 
     def free_columns(self, trial: int) -> Iterator[tuple[int, FreeStart]]:
         """Yield the free initial values of a trial with their indices among the unknowns."""
@@ -283,7 +283,7 @@ class Prediction:
 
     @cached_property
     def _instruments(self) -> Instruments:
-        return self.shooting.unknowns.instruments(self._own.measured.names)
+        return instruments_of(self.shooting.unknowns.readings, self._own.measured.names)
 
     @cached_property
     def _stretch(self) -> float:

@@ -9,11 +9,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.comparison.estimate import Estimate, instruments_json
+from zeno_orbits.experiment.identification.instruments import Instruments, instruments_of
+from zeno_orbits.experiment.identification.unknowns import FitParameter
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.experiment.transients.seen_impacts import impacts_in_gap, recorded_gaps
 from zeno_orbits.experiment.transients.transient_fit import (
@@ -91,6 +95,7 @@ class TransientComparison(TableRepr, ByValue):
         flights: Deviations of the signals by flight.
         rms: Root mean square deviation relative to the ranges of the signals.
         remarks: Further remarks.
+        instruments: Fitted errors of instruments, by their names.
     """
 
     problem: str
@@ -100,6 +105,7 @@ class TransientComparison(TableRepr, ByValue):
     flights: tuple[FlightDeviation, ...]
     rms: float
     remarks: tuple[str, ...]
+    instruments: Mapping[str, Estimate] = field(default_factory=dict[str, Estimate])
 
     def __repr__(self) -> str:
         """Return one line: the size of the deviations, and the verdict."""
@@ -152,6 +158,7 @@ class TransientComparison(TableRepr, ByValue):
                 for one in self.flights
             ],
             "remarks": list(self.remarks),
+            "instruments": instruments_json(self.instruments),
         }
 
 
@@ -159,6 +166,7 @@ def compare_transients(
     problem: Problem,
     values: ParameterValues,
     recordings: Sequence[tuple[str, Recording]],
+    sought: Sequence[FitParameter] = (),
     *,
     start: Mapping[str, float] | None = None,
     free: Collection[str] = (),
@@ -170,6 +178,7 @@ def compare_transients(
         problem: The problem.
         values: Gains and parameters of the motion.
         recordings: Label and recording of each trial.
+        sought: Errors of instruments to determine.
         start: Known initial values of all trials.
         free: Further initial values to determine: states, `clock`, `offset`.
         on_progress: Called with each stage.
@@ -179,14 +188,24 @@ def compare_transients(
         UnfittableError: If no simulation follows the recordings.
     """
     found = fit_transients(
-        problem, values, recordings, (), start=start, free=free, on_progress=on_progress
+        problem, values, recordings, sought, start=start, free=free, on_progress=on_progress
     )
+    errors = {
+        one.label: Estimate(value=own.value, error=own.error)
+        for one, own in zip(sought, found.shared, strict=True)
+    }
+    numbers = np.array([own.value for own in found.shared])
     return TransientComparison(
         problem=problem.name,
         values=values,
         fit=found.fit,
+        instruments=errors,
         impacts=tuple(
-            row for one in found.fit.trials for row in impact_deviations(problem, values, one)
+            row
+            for one in found.fit.trials
+            for row in impact_deviations(
+                problem, values, one, instruments_of(found.unknowns.readings, one.names), numbers
+            )
         ),
         flights=tuple(row for one in found.fit.trials for row in flight_deviations(one)),
         rms=found.after,
@@ -195,7 +214,11 @@ def compare_transients(
 
 
 def impact_deviations(
-    problem: Problem, values: ParameterValues, trial: FittedTrial
+    problem: Problem,
+    values: ParameterValues,
+    trial: FittedTrial,
+    instruments: Instruments,
+    numbers: Vector,
 ) -> Iterator[ImpactDeviation]:
     """Yield the resolved impacts of a fitted motion beside the recorded ones.
 
@@ -203,8 +226,11 @@ def impact_deviations(
         problem: The problem.
         values: Gains and parameters of the motion.
         trial: The trial.
+        instruments: Errors of its channels.
+        numbers: Values of these errors.
     """
-    recorded = _recorded(problem, values, trial)
+    read = (trial.recorded - instruments.offsets @ numbers) / instruments.gain(numbers)
+    recorded = _recorded(problem, values, replace(trial, recorded=read))
     flights = np.diff(trial.impacts)
     for k, fitted in enumerate(trial.impacts.tolist()):
         beside = [float(one) for one in flights[max(k - 1, 0) : k + 1]]

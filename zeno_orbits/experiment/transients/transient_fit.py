@@ -45,8 +45,13 @@ from zeno_orbits.experiment.transients.staged_fit import (
     fitted,
     refitted,
 )
-from zeno_orbits.experiment.transients.trial import OFFSET, TrialData, prepared_trial
-from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.experiment.transients.trial import (
+    OFFSET,
+    FreeStart,
+    TrialData,
+    prepared_trial,
+)
+from zeno_orbits.model import GraphDynamics, ParameterValues, Problem
 from zeno_orbits.simulation import EventKind, simulate
 from zeno_orbits.work import ByValue, Progress, silent
 
@@ -58,6 +63,8 @@ _UNLIKE = 0.12
 """Residuals relative to the range of the channels from which the motion is another one."""
 _MOSTLY = 0.8
 """Part of the deviations that a law of the speed explains before it is named."""
+_WIDE = 3.0
+"""Reach of an initial value whose channel has an unknown gain or offset, in its scale."""
 _EXACT = 1e-5
 """Residuals relative to the range of the channels that are rounding and no scatter."""
 _EDGE = 1e-3
@@ -250,7 +257,7 @@ def fit_transients(
     shooting, found, events = _reweighted(shooting, found, noise)
     # With scatter of the restitution, late event times may be far from the most likely motion.
     after = min(after, _deviation(shooting, found.z))
-    if sought and not after < _UNLIKE:
+    if _fits_machine(sought) and not after < _UNLIKE:
         heard = not any(len(one.time) for one in shooting.trials)
         remedy = "crop the recording with --t-start and --t-end"
         raise refusal(
@@ -258,6 +265,11 @@ def fit_transients(
             f"start values, or {'determine the start by --initial NAME' if heard else remedy}"
         )
     return _described(shooting, found, noise, events, sought, begin, before, after, on_progress)
+
+
+def _fits_machine(sought: Sequence[FitParameter]) -> bool:
+    """Return True if a parameter of the machine is fitted, and not only errors of instruments."""
+    return any(not one.readings for one in sought)
 
 
 def _shooting(
@@ -268,13 +280,39 @@ def _shooting(
 ) -> Shooting:
     unknowns = _with_channel_ranges(unknowns_of(problem, begin, sought), trials)
     graph = problem.graph_dynamics(begin)
+    unknown = {channel for own in unknowns.readings for _, channel in own if channel}
     return Shooting(
         problem=problem,
         graph=graph,
         unknowns=unknowns,
-        trials=tuple(_placed(problem, begin, one) for one in trials),
+        trials=tuple(
+            _placed(problem, begin, _with_wide_starts(graph, one, unknown)) for one in trials
+        ),
         whitening=tuple(independent_whitening(one) for one in trials),
     )
+
+
+def _with_wide_starts(
+    graph: GraphDynamics, trial: TrialData, channels: Collection[str]
+) -> TrialData:
+    """Return a trial whose initial values may be far from the samples of some channels.
+
+    Args:
+        graph: The machine.
+        trial: The trial.
+        channels: Names of the channels with an unknown gain or offset.
+    """
+    names, n_q = graph.state_names, graph.n_q
+
+    def is_rough(one: FreeStart) -> bool:
+        places = np.flatnonzero(one.direction).tolist()
+        return any(
+            names[k] in channels or (n_q <= k < 2 * n_q and names[k - n_q] in channels)
+            for k in places
+        )
+
+    wide = (replace(one, reach=_WIDE) if is_rough(one) else one for one in trial.free)
+    return replace(trial, free=tuple(wide)) if channels else trial
 
 
 def _with_channel_ranges(unknowns: Unknowns, trials: Sequence[TrialData]) -> Unknowns:
@@ -467,7 +505,7 @@ def _described(
     jitter = math.nan if known is None else known.jitter / known.longest
     tests = tested(shooting, found, noise, scatter, jitter)
     trials = tuple(_fitted_trial(shooting, found, j) for j in range(len(shooting.trials)))
-    scattered = sought and after > _EXACT and tests.law_differs
+    scattered = _fits_machine(sought) and after > _EXACT and tests.law_differs
     mixed = mixed_fit(shooting, found, noise) if scattered else None
     if mixed is not None:
         shooting, scatter = mixed.shooting, mixed.noise.scatter
@@ -501,7 +539,9 @@ def _described(
         fit=TransientFit(
             trials=trials,
             tests=tests,
-            verdict=_verdict(tests, events, mixed, is_fitted=k > 0, determined=determined),
+            verdict=_verdict(
+                tests, events, mixed, is_fitted=_fits_machine(sought), determined=determined
+            ),
             starts=found.starts,
             agreed=found.agreed,
             jitter=math.nan if events is None else events.jitter,

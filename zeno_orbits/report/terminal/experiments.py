@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import counted
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from zeno_orbits.experiment import Column as FileColumn
     from zeno_orbits.experiment import (
         Comparison,
+        Estimate,
         FittedParameter,
         FittedTrial,
         FlightDeviation,
@@ -231,7 +232,15 @@ def print_comparison(found: Comparison) -> None:
     print_lines(comparison_lines(found))
     if found.metrics:
         print_table(comparison_columns(found), found.metrics)
-    print_lines(f"Note: {remark}." for remark in (*found.recording.remarks, *found.remarks))
+    notes = (*found.recording.remarks, *_read_as(found.instruments), *found.remarks)
+    print_lines(f"Note: {remark}." for remark in notes)
+
+
+def _read_as(errors: Mapping[str, Estimate]) -> Iterator[str]:
+    """Yield the fitted errors of instruments in words."""
+    for name, one in errors.items():
+        error = f" +- {one.error:.2g}" if math.isfinite(one.error) else ", not determined"
+        yield f"{name} = {one.value:.6g}{error}"
 
 
 def print_laws(found: LawComparison) -> None:
@@ -349,8 +358,8 @@ def print_transient_comparison(found: TransientComparison) -> None:
     print_lines(
         [
             f"Deviation of all signals relative to their ranges: {found.rms:.2g}. Only initial "
-            "values were fitted.",
-            *(f"Note: {remark}." for remark in found.remarks),
+            f"values{' and errors of instruments' if found.instruments else ''} were fitted.",
+            *(f"Note: {remark}." for remark in (*_read_as(found.instruments), *found.remarks)),
         ]
     )
 
