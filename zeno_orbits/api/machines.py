@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         RigComparison,
         RigRun,
         RigSettings,
+        SecondFile,
         SettledRig,
         TransientComparison,
     )
@@ -137,6 +138,7 @@ def identify(
     parameters: Numbers | None = None,
     start: Numbers | None = None,
     initial: Sequence[str] = (),
+    second: Recording | str | Path | None = None,
     transient: bool | None = None,
     t_start: float | None = None,
     t_end: float | None = None,
@@ -163,6 +165,8 @@ def identify(
             samples, and their rates near the slopes there.
         initial: Further initial values of transients to determine: states that are not recorded,
             ``clock`` for the phase of the clock, ``offset`` for the time of the start.
+        second: A second file of the same transient on another clock, whose offset and rate are
+            determined too.
         transient: Whether transients are fitted. The default is to decide by the recordings.
         t_start: First time of the recordings that counts [s].
         t_end: Last time of the recordings that counts [s].
@@ -182,6 +186,7 @@ def identify(
         values=known.values(gains=gains, parameters=parameters),
         start=start,
         initial=initial,
+        second=second_file(known, second, on_progress),
         transient=transient,
         on_progress=on_progress,
     )
@@ -290,6 +295,7 @@ def identify_trials(
     values: ParameterValues,
     start: Numbers | None = None,
     initial: Sequence[str] = (),
+    second: SecondFile | None = None,
     transient: bool | None = None,
     on_progress: Progress = silent,
 ) -> Identification:
@@ -302,13 +308,14 @@ def identify_trials(
         values: Gains and parameters at the start.
         start: As in `identify`.
         initial: As in `identify`.
+        second: The second file of `identify`, which was read.
         transient: As in `identify`.
         on_progress: Called with the stage and the part of it that is done.
     """
     from zeno_orbits.experiment import fit_parameters, fit_transient_parameters
 
     known = problem
-    if not _are_transients(known, trials, transient, start, initial):
+    if not _are_transients(known, trials, transient, start, initial, second):
         unknowns = _unknowns(known, values, fit)
         return fit_parameters(known, values, trials[0][1], unknowns, on_progress=on_progress)
     return fit_transient_parameters(
@@ -318,6 +325,7 @@ def identify_trials(
         _unknowns(known, values, fit, transient=True),
         start=named_numbers("start", start),
         free=initial,
+        second=second,
         on_progress=on_progress,
     )
 
@@ -356,12 +364,38 @@ def labelled_recordings(
     ]
 
 
+def second_file(
+    problem: Problem, second: Recording | str | Path | None, on_progress: Progress = silent
+) -> SecondFile | None:
+    """Return a second file of a motion, which was read, or ``None`` if there is none.
+
+    Args:
+        problem: The problem.
+        second: The recording or its file.
+        on_progress: Called with the stage.
+    """
+    from zeno_orbits.experiment import SecondFile
+
+    if second is None:
+        return None
+    label = Path(second).name if isinstance(second, str | Path) else "second file"
+    found = recording_for(problem, second, None, None, on_progress, events=True)
+    return SecondFile(label=label, recording=found)
+
+
+def _require_one_trial(trials: Sequence[tuple[str, Recording]], second: SecondFile | None) -> None:
+    if second is not None and len(trials) > 1:
+        wanted = f"belongs to a single trial, but {len(trials)} recordings are given"
+        raise InputError(f"Argument `second` {wanted}: omit one of both.")
+
+
 def _are_transients(
     problem: Problem,
     trials: Sequence[tuple[str, Recording]],
     transient: bool | None,
     start: Numbers | None,
     initial: Sequence[str],
+    second: SecondFile | None,
 ) -> bool:
     """Return True if transients are to be fitted.
 
@@ -370,7 +404,9 @@ def _are_transients(
     """
     from zeno_orbits.experiment import measurable, transient_reason
 
+    _require_one_trial(trials, second)
     asked = "start" if start else "initial" if initial else "recording" if len(trials) > 1 else ""
+    asked = asked or ("" if second is None else "second")
     if transient is False and asked:
         wanted = "needs transients: omit `transient`, or set it to True"
         raise InputError(f"Argument `{asked}` {wanted}.")
@@ -389,6 +425,7 @@ def compare_transient(
     parameters: Numbers | None = None,
     start: Numbers | None = None,
     initial: Sequence[str] = (),
+    second: Recording | str | Path | None = None,
     t_start: float | None = None,
     t_end: float | None = None,
     on_progress: Progress = silent,
@@ -407,6 +444,7 @@ def compare_transient(
         parameters: Parameters that differ from their defaults.
         start: Known initial values, as for `identify`.
         initial: Further initial values to determine, as for `identify`.
+        second: A second file of the same transient on another clock, as for `identify`.
         t_start: First time of the recordings that counts [s].
         t_end: Last time of the recordings that counts [s].
         on_progress: Called with the stage and the part of it that is done.
@@ -420,6 +458,8 @@ def compare_transient(
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
     trials = labelled_recordings(known, recording, t_start, t_end, on_progress)
+    other = second_file(known, second, on_progress)
+    _require_one_trial(trials, other)
     return compare_transients(
         known,
         values,
@@ -427,6 +467,7 @@ def compare_transient(
         _instrument_errors(known, values, fit),
         start=named_numbers("start", start),
         free=initial,
+        second=other,
         on_progress=on_progress,
     )
 

@@ -57,6 +57,7 @@ from .transients.impact_laws import LawComparison as LawComparison
 from .transients.impact_laws import LawFit as LawFit
 from .transients.impact_laws import laws_of as laws_of
 from .transients.residual_tests import ResidualTests as ResidualTests
+from .transients.second_clock import SecondFile as SecondFile
 from .transients.transient_comparison import FlightDeviation as FlightDeviation
 from .transients.transient_comparison import ImpactDeviation as ImpactDeviation
 from .transients.transient_comparison import TransientComparison as TransientComparison

@@ -166,6 +166,13 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="recordings of further trials of a transient, with the same parameters",
     )
+    parser.add_argument(
+        "--second",
+        type=Path,
+        metavar="FILE",
+        help="a second file of the same transient on another clock; the offset and the rate of "
+        "its clock are determined",
+    )
     add_shared(
         parser,
         "start",
@@ -189,16 +196,23 @@ def _read_names(text: str) -> tuple[str, ...]:
     return names
 
 
+def _files(options: argparse.Namespace) -> list[Path]:
+    """Return the files of recordings that a command reads."""
+    second = [] if options.second is None else [options.second]
+    return [options.data, *options.trials, *second]
+
+
 def _run_compare(options: argparse.Namespace) -> int:
-    files = [options.data, *options.trials]
+    files = _files(options)
     if Path(options.problem).suffix != ".json":
         require_outputs(options, {"picture": PICTURE}, reads=files)
         return _run_compare_transient(options)
     orbit_path = Path(options.problem)
     require_outputs(options, {"picture": PICTURE}, reads=[orbit_path, *files])
     for name, given in (("--set", options.set), ("--start", options.start)):
-        if given or options.trials or options.initial:
-            asked = name if given else "--trial" if options.trials else "--initial"
+        others = ("--trial" if options.trials else "--initial", "--second")
+        if given or options.trials or options.initial or options.second is not None:
+            asked = name if given else others[not (options.trials or options.initial)]
             raise InputError(f"Argument `{asked}` needs a problem in place of `{orbit_path}`.")
     orbit = api.any_orbit(orbit_path)
     problem = api.problem_of(orbit, options.problem_file)
@@ -236,6 +250,7 @@ def _run_compare_transient(options: argparse.Namespace) -> int:
         found = api.compare_transient(
             problem,
             [options.data, *options.trials],
+            second=options.second,
             fit=options.fit,
             gains=gains,
             parameters=parameters,
@@ -342,10 +357,12 @@ def _run_identify(options: argparse.Namespace) -> int:
         raise InputError("Argument `--orbit` must go without --transient, which shows no orbit.")
     if options.law and options.orbit is not None:
         raise InputError("Argument `--orbit` must go without --law, which fits transients.")
-    files = [options.data, *options.trials]
+    if options.law and options.second is not None:
+        raise InputError("Argument `--second` must go without --law, which compares trials.")
     outputs = {"output": JSON, "orbit": JSON, "picture": PICTURE}
-    require_outputs(options, outputs, reads=files)
+    require_outputs(options, outputs, reads=_files(options))
     with report.ProgressLine(options.interrupts.check) as progress:
+        files = [options.data, *options.trials]
         trials = api.labelled_recordings(problem, files, options.t_start, options.t_end, progress)
         fit = {"+".join(names): box for names, box in options.fit}
         laws = options.law and api.compare_laws_of(
@@ -368,6 +385,7 @@ def _run_identify(options: argparse.Namespace) -> int:
                 values=problem.values(gains=gains, parameters=parameters),
                 start=options.start,
                 initial=options.initial,
+                second=api.second_file(problem, options.second, progress),
                 # An orbit to write is one to fit.
                 transient=True if options.transient else None if options.orbit is None else False,
                 on_progress=progress,

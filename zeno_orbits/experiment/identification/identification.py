@@ -46,6 +46,7 @@ from zeno_orbits.experiment.identification.unknowns import (
     unknowns_of,
 )
 from zeno_orbits.experiment.recordings.recording import Recording
+from zeno_orbits.experiment.transients.second_clock import SecondFile
 from zeno_orbits.experiment.transients.transient_fit import TransientFit, fit_transients
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Orbit
@@ -270,6 +271,7 @@ def fit_transient_parameters(
     *,
     start: Mapping[str, float] | None = None,
     free: Collection[str] = (),
+    second: SecondFile | None = None,
     on_progress: Progress = silent,
 ) -> Identification:
     """Fit parameters of a problem to transients: parts of motions that need not repeat.
@@ -281,6 +283,7 @@ def fit_transient_parameters(
         sought: The parameters to fit.
         start: Known initial values of all trials.
         free: Further initial values to determine: states, `clock`, `offset`.
+        second: A second file of the motion of a single trial, on another clock.
         on_progress: Called with each stage, and with the part done of the fit.
 
     Raises:
@@ -288,7 +291,14 @@ def fit_transient_parameters(
         UnfittableError: If no simulated motion follows the recordings.
     """
     found = fit_transients(
-        problem, values, recordings, sought, start=start, free=free, on_progress=on_progress
+        problem,
+        values,
+        recordings,
+        sought,
+        start=start,
+        free=free,
+        second=second,
+        on_progress=on_progress,
     )
     fitted = tuple(
         FittedParameter(

@@ -281,7 +281,7 @@ def deviation_rows_of_trial(
     n_x, p = len(shooting.graph.state_names), shooting.parameters(z)
     instruments = instruments_of(shooting.unknowns.readings, trial.measured.names)
     values = shooting.values(z)
-    times = trial.time / instruments.stretch(values) - own.offset
+    times = trial.time / own.stretch - own.offset
     slopes = (
         trial.measured.derivatives(own.motion.at(times).states, p)[:, :, :n_x]
         if len(times)

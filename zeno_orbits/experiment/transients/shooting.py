@@ -27,7 +27,7 @@ from zeno_orbits.experiment.transients.motion import (
     TransientMotion,
     moved,
 )
-from zeno_orbits.experiment.transients.trial import OFFSET, FreeStart, TrialData
+from zeno_orbits.experiment.transients.trial import OFFSET, RATE, FreeStart, TrialData
 from zeno_orbits.model import GraphDynamics, Problem
 from zeno_orbits.simulation import EventKind
 
@@ -110,11 +110,11 @@ class Shooting:
         """Return the initial state of a trial and its time offset [s]."""
         own = self.trials[trial]
         x, offset = own.start.copy(), own.shift
-        for one, part in zip(own.free, z[self.columns(trial)].tolist(), strict=True):
+        for column, one in self.motion_columns(trial):
+            x += one.direction * one.scale * z[column]
+        for column, one in self.free_columns(trial):
             if one.name == OFFSET:
-                offset += one.scale * part
-            else:
-                x += one.direction * one.scale * part
+                offset += one.scale * z[column]
         clock = list(self.problem.clock)
         if clock:
             # A change along the tangent is brought back to the circle.
@@ -137,7 +137,7 @@ class Shooting:
         """
         own, p = self.trials[trial], self.parameters(z)
         x, offset = self.start_of(trial, z)
-        stretch = self._instruments(own).stretch(self.values(z))
+        stretch = self.stretch_of(trial, z)
         end = min(horizon, own.end) / stretch - offset
         if own.n_events:
             end += _PAST * (own.end - min([*own.time[:1].tolist(), *_firsts(own)]))
@@ -153,6 +153,11 @@ class Shooting:
         )
         return found if np.isfinite(found.signals).all() else None
 
+    def stretch_of(self, trial: int, z: Vector) -> float:
+        """Return the ratio of recorded times of a trial to times."""
+        own = sum(one.scale * z[k] for k, one in self.free_columns(trial) if one.name == RATE)
+        return self._instruments(self.trials[trial]).stretch(self.values(z)) * (1.0 + own)
+
     def _instruments(self, trial: TrialData) -> Instruments:
         return instruments_of(self.unknowns.readings, trial.measured.names)
 
@@ -160,6 +165,11 @@ class Shooting:
         """Yield the free initial values of a trial with their indices among the unknowns."""
         columns = self.columns(trial)
         yield from enumerate(self.trials[trial].free, start=columns.start)
+
+    def motion_columns(self, trial: int) -> Iterator[tuple[int, FreeStart]]:
+        """Yield the free initial values of the motion of a trial, which may be its twin's."""
+        twin = self.trials[trial].twin
+        yield from self.free_columns(trial if twin is None else twin)
 
     def by_unknowns(self, trial: int, z: Vector, by: Vector) -> Vector:
         """Return derivatives with respect to the unknowns, ``(..., n_z)``.
@@ -173,7 +183,7 @@ class Shooting:
         found = np.zeros((*by.shape[:-1], self.n_z))
         ties = self.unknowns.ties * self.slopes(z)
         found[..., : self.n_shared] = by[..., n_x:] @ ties
-        for column, one in self.free_columns(trial):
+        for column, one in self.motion_columns(trial):
             found[..., column] = by[..., :n_x] @ (one.direction * one.scale)
         return found
 
@@ -226,24 +236,31 @@ class Shooting:
     def channel_noise(self, z: Vector) -> list[Vector]:
         """Return the root mean square residual of each channel, over all trials that have it.
 
+        A second file has instruments of its own.
+
         Args:
             z: Unknowns, ``(n_z,)``.
         """
-        rests: dict[str, list[Vector]] = {}
+        rests: dict[tuple[str, int | None], list[Vector]] = {}
         for k, trial in enumerate(self.trials):
             found = self.predicted(k, z, math.inf)
             if found is None:
                 return [one.noise for one in self.trials]
             for s, name in enumerate(trial.measured.names):
                 rows = trial.seen[:, s]
-                rests.setdefault(name, []).append(found.signals[rows, s] - trial.values[rows, s])
+                rests.setdefault((name, trial.twin), []).append(
+                    found.signals[rows, s] - trial.values[rows, s]
+                )
         sizes = {
             name: math.sqrt(float(np.mean(np.concatenate(rows) ** 2))) if rows else 0.0
             for name, rows in rests.items()
         }
         return [
             np.array(
-                [max(sizes[name], 1e-3 * one.noise[s]) for s, name in enumerate(one.measured.names)]
+                [
+                    max(sizes[name, one.twin], 1e-3 * one.noise[s])
+                    for s, name in enumerate(one.measured.names)
+                ]
             )
             for one in self.trials
         ]
@@ -286,8 +303,22 @@ class Prediction:
         return instruments_of(self.shooting.unknowns.readings, self._own.measured.names)
 
     @cached_property
-    def _stretch(self) -> float:
-        return self._instruments.stretch(self.shooting.values(self.z))
+    def stretch(self) -> float:
+        """Ratio of recorded times to times."""
+        return self.shooting.stretch_of(self.trial, self.z)
+
+    @property
+    def _by_rates(self) -> Vector:
+        """Derivatives of the stretch with respect to all unknowns, ``(n_z,)``."""
+        shooting, found = self.shooting, np.zeros(self.shooting.n_z)
+        common = self._instruments.stretch(shooting.values(self.z))
+        found[: shooting.n_shared] = (
+            self.stretch / common * self._instruments.rate * shooting.slopes(self.z)
+        )
+        for column, one in shooting.free_columns(self.trial):
+            if one.name == RATE:
+                found[column] = common * one.scale
+        return found
 
     @cached_property
     def _times(self) -> Vector:
@@ -296,7 +327,7 @@ class Prediction:
 
     @cached_property
     def _at(self) -> StatesAt:
-        return self.motion.at(self._times / self._stretch - self.offset)
+        return self.motion.at(self._times / self.stretch - self.offset)
 
     @cached_property
     def _channels(self) -> Vector:
@@ -330,15 +361,15 @@ class Prediction:
             if one.name == OFFSET:
                 by_z[:, :, column] = -rates * one.scale
         scale = shooting.slopes(z)
-        late = (self._times / self._stretch**2)[:, None, None] * instruments.rate
-        by_z[:, :, :k] -= rates[:, :, None] * late * scale
+        late = (self._times / self.stretch**2)[:, None, None] * self._by_rates
+        by_z -= rates[:, :, None] * late
         by_z *= instruments.gain(values)[None, :, None]
         by_z[:, :, :k] += instruments.by_numbers(self._channels) * scale
         return by_z
 
     @cached_property
     def _events(self) -> tuple[Vector, Vector]:
-        shooting, own, z, stretch = self.shooting, self._own, self.z, self._stretch
+        shooting, own, z, stretch = self.shooting, self._own, self.z, self.stretch
         times, rows = [np.zeros(0)], [np.zeros((0, shooting.n_z))]
         for series in own.series:
             model = self.motion.events(series.kind, series.stop)
@@ -348,8 +379,7 @@ class Prediction:
             for column, one in shooting.free_columns(self.trial):
                 if one.name == OFFSET:
                     by_z[:, column] = one.scale * stretch
-            late = (own_times + self.offset)[:, None]
-            by_z[:, : shooting.n_shared] += late * self._instruments.rate * shooting.slopes(z)
+            by_z += (own_times + self.offset)[:, None] * self._by_rates
             times.append((own_times + self.offset) * stretch)
             rows.append(by_z)
         return np.concatenate(times), np.concatenate(rows)

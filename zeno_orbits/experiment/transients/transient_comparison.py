@@ -19,6 +19,7 @@ from zeno_orbits.experiment.comparison.estimate import Estimate, instruments_jso
 from zeno_orbits.experiment.identification.instruments import Instruments, instruments_of
 from zeno_orbits.experiment.identification.unknowns import FitParameter
 from zeno_orbits.experiment.recordings.recording import Recording
+from zeno_orbits.experiment.transients.second_clock import SecondFile
 from zeno_orbits.experiment.transients.seen_impacts import impacts_in_gap, recorded_gaps
 from zeno_orbits.experiment.transients.transient_fit import (
     FittedTrial,
@@ -170,6 +171,7 @@ def compare_transients(
     *,
     start: Mapping[str, float] | None = None,
     free: Collection[str] = (),
+    second: SecondFile | None = None,
     on_progress: Progress = silent,
 ) -> TransientComparison:
     """Compare transients with the motion of a problem.
@@ -181,6 +183,7 @@ def compare_transients(
         sought: Errors of instruments to determine.
         start: Known initial values of all trials.
         free: Further initial values to determine: states, `clock`, `offset`.
+        second: A second file of the motion of a single trial, on another clock.
         on_progress: Called with each stage.
 
     Raises:
@@ -188,7 +191,14 @@ def compare_transients(
         UnfittableError: If no simulation follows the recordings.
     """
     found = fit_transients(
-        problem, values, recordings, sought, start=start, free=free, on_progress=on_progress
+        problem,
+        values,
+        recordings,
+        sought,
+        start=start,
+        free=free,
+        second=second,
+        on_progress=on_progress,
     )
     errors = {
         one.label: Estimate(value=own.value, error=own.error)

@@ -32,6 +32,7 @@ from zeno_orbits.experiment.transients.intervals import covariance_of, degrees, 
 from zeno_orbits.experiment.transients.motion import SETTINGS, TransientMotion
 from zeno_orbits.experiment.transients.residual_tests import ResidualTests, tested
 from zeno_orbits.experiment.transients.scattered_impacts import MixedFit, mixed_fit
+from zeno_orbits.experiment.transients.second_clock import SecondFile, clock_words, with_second
 from zeno_orbits.experiment.transients.shooting import (
     Shooting,
     event_times,
@@ -218,6 +219,7 @@ def fit_transients(
     *,
     start: Mapping[str, float] | None = None,
     free: Collection[str] = (),
+    second: SecondFile | None = None,
     on_progress: Progress = silent,
 ) -> TransientResult:
     """Fit parameters to transients.
@@ -229,6 +231,7 @@ def fit_transients(
         sought: The parameters and errors of instruments to fit.
         start: Known initial values of all trials.
         free: Further initial values to determine: states, `clock`, `offset`.
+        second: A second file of the motion of a single trial, on another clock.
         on_progress: Called with each stage.
 
     Raises:
@@ -250,6 +253,18 @@ def fit_transients(
     found = best_fit(steady, first, on_progress)
     if found is None:
         raise refusal("the motion from the recorded start cannot be simulated at the start values")
+    words: tuple[str, ...] = ()
+    if second is not None:
+        on_progress("laying the second file over the motion", None)
+        steady, z, words = with_second(steady, found, begin, second)
+        extra = steady.trials[-1]
+        shooting = replace(
+            shooting,
+            trials=(*shooting.trials, extra),
+            whitening=(*shooting.whitening, independent_whitening(extra)),
+        )
+        steady = _without_jumps(shooting)
+        found = replace(fitted(steady, z), found=(z,), shares=(1,))
     shooting, found = _masked(shooting, found, is_whole=steady is shooting)
     noise = tuple(one.noise for one in shooting.trials)
     on_progress("weighting the channels", None)
@@ -264,7 +279,8 @@ def fit_transients(
             f"the nearest motion is {100 * after:.2g} % of the signals' ranges off: check the "
             f"start values, or {'determine the start by --initial NAME' if heard else remedy}"
         )
-    return _described(shooting, found, noise, events, sought, begin, before, after, on_progress)
+    result = _described(shooting, found, noise, events, sought, begin, before, after, on_progress)
+    return replace(result, remarks=(*words, *result.remarks))
 
 
 def _fits_machine(sought: Sequence[FitParameter]) -> bool:
@@ -688,7 +704,7 @@ def _fitted_trial(shooting: Shooting, found: StagedFit, k: int) -> FittedTrial:
     if at is None:
         raise refusal(f"{own.label}: the fitted motion cannot be simulated")
     state, offset = shooting.start_of(k, found.z)
-    impacts = _impacts_of(own, at.motion, offset)
+    impacts = _impacts_of(own, at.motion, offset, at.stretch)
     return FittedTrial(
         label=own.label,
         start=dict(zip(shooting.problem.state_names, state.tolist(), strict=True)),
@@ -709,7 +725,7 @@ def _fitted_trial(shooting: Shooting, found: StagedFit, k: int) -> FittedTrial:
     )
 
 
-def _impacts_of(trial: TrialData, motion: TransientMotion, offset: float) -> Vector:
+def _impacts_of(trial: TrialData, motion: TransientMotion, offset: float, stretch: float) -> Vector:
     """Return the times of the impacts until the flights are shorter than three samples.
 
     For event times alone they are all impacts up to the last that was recorded.
@@ -720,9 +736,9 @@ def _impacts_of(trial: TrialData, motion: TransientMotion, offset: float) -> Vec
             model = motion.events(one.kind, one.stop)
             last = max([k for k in matched(one, model) if k is not None], default=-1)
             if one.kind is EventKind.IMPACT:
-                rows.append(model.times[: last + 1] + offset)
+                rows.append(stretch * (model.times[: last + 1] + offset))
         return np.sort(np.concatenate(rows))
-    times = np.array([one.time + offset for one in motion.execution.impacts])
+    times = stretch * np.array([one.time + offset for one in motion.execution.impacts])
     times = times[times <= trial.end + 1e-12]
     step = float(np.median(np.diff(trial.time)))
     flights = np.diff(np.append(times, np.inf))
@@ -830,6 +846,7 @@ def _remarks(
     widened: bool,
 ) -> list[str]:
     remarks = [word for one in shooting.trials for word in one.remarks]
+    remarks += clock_words(shooting, found)
     many = len(trials) > 1
     for one in trials:
         remarks += [f"{one.label}: {w}" if many else w for w in (*one.missed, *one.false)]

@@ -26,8 +26,9 @@ from zeno_orbits.experiment.transients.seen_impacts import (
 from zeno_orbits.model import GraphDynamics, ParameterValues, Problem
 from zeno_orbits.simulation import EventKind
 
-CLOCK, OFFSET = "clock", "offset"
-"""Names of the phase of the clock and of the time offset among the free initial values."""
+CLOCK, OFFSET, RATE = "clock", "offset", "clock_rate"
+"""Names of the phase of the clock of the machine, of the time offset, and of the rate of the clock
+of a second file among the free initial values."""
 _LEAST = 8
 """Samples of a trial, at least."""
 _FEW = 25
@@ -78,6 +79,7 @@ class TrialData:
         remarks: Remarks on the trial.
         shift: Time offset of the simulation at the start of the fit [s].
         jumping: Mask of the channels that may jump at impacts, ``(n_s,)``.
+        twin: Index of the trial whose motion this one is, on another clock, or ``None``.
     """
 
     label: str
@@ -97,6 +99,7 @@ class TrialData:
     remarks: tuple[str, ...]
     shift: float = 0.0
     jumping: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    twin: int | None = None
 
     def without(self, impacts: Vector) -> TrialData:
         """Return the trial without the samples of jumping channels beside further impacts.

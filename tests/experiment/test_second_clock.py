@@ -1,0 +1,147 @@
+"""A second file of one motion on another clock, whose offset and rate are known to the test.
+
+The motion is that of a ball by its flights, and that of a pendulum by another integrator.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.support.commands import ask
+from zeno_orbits.errors import InputError
+from zeno_orbits.experiment import RecordedSignal, UnfittableError
+
+G, E, HEIGHT = 9.81, 0.7, 0.8
+BEGIN, RATE = 1.7, 2e-3
+
+
+def heights(times: np.ndarray) -> np.ndarray:
+    """Return the heights of a ball, which waits before the time 0."""
+    begin, speed = math.sqrt(2 * HEIGHT / G), math.sqrt(2 * G * HEIGHT)
+    found = np.where(times < begin, HEIGHT - G * np.maximum(times, 0.0) ** 2 / 2, 0.0)
+    while speed > 1e-6:
+        speed *= E
+        since = times - begin
+        inside = (since >= 0.0) & (since < 2 * speed / G)
+        found[inside] = speed * since[inside] - G * since[inside] ** 2 / 2
+        begin += 2 * speed / G
+    return found
+
+
+def impacts(n: int) -> np.ndarray:
+    first = math.sqrt(2 * HEIGHT / G)
+    flights = 2 * first * E ** np.arange(1, n)
+    return first + np.concatenate([[0.0], np.cumsum(flights)])
+
+
+def recording(name: str, times: np.ndarray, values: np.ndarray, unit: str = "m") -> zo.Recording:
+    signal = RecordedSignal(name=name, unit=unit, values=values)
+    return zo.Recording(source=None, problem="bouncing_ball", time=times, signals=(signal,))
+
+
+@cache
+def _first() -> zo.Recording:
+    times = np.arange(0.0, 2.0, 0.01)
+    noise = 2e-3 * np.random.default_rng(1).standard_normal(len(times))
+    return recording("height", times, heights(times) + noise)
+
+
+@cache
+def _second(begin: float = BEGIN, rate: float = RATE) -> zo.Recording:
+    shown = np.arange(0.0, 4.0, 1 / 60)
+    noise = 3e-3 * np.random.default_rng(2).standard_normal(len(shown))
+    return recording("height", shown, heights(shown / (1 + rate) - begin) + noise)
+
+
+def _clock(remarks: tuple[str, ...]) -> tuple[float, float, float, float]:
+    """Return what the notes say: the time at the beginning and its error, the rate and its own."""
+    begins = next(word for word in remarks if "its clock shows" in word).split()
+    rate = next(word for word in remarks if "faster by the part" in word).split()
+    at = begins.index("shows")
+    part = rate.index("part")
+    return (
+        float(begins[at + 1]),
+        float(begins[at + 3]),
+        float(rate[part + 1]),
+        float(rate[part + 3]),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("begin", "rate"), [(BEGIN, RATE), (-0.3, -0.01)])
+def test_the_clock_of_a_second_file_is_found_with_the_parameters(begin: float, rate: float) -> None:
+    found = zo.identify(
+        "bouncing_ball", _first(), ["restitution"], second=_second(begin, rate), transient=True
+    )
+    shown, error, faster, unsure = _clock(found.remarks)
+    assert abs(shown - (1 + rate) * begin) < 4 * error < 4e-3
+    assert abs(faster - rate) < 4 * unsure < 8e-3
+    (one,) = found.fitted
+    assert one.low < E < one.high
+    assert found.transient is not None
+    assert not found.transient.tests.has_structure
+    alone = zo.identify("bouncing_ball", _first(), ["restitution"], transient=True).fitted[0]
+    assert one.error < alone.error
+
+
+@pytest.mark.slow
+def test_times_of_a_microphone_are_laid_over_a_video() -> None:
+    times = (1 + RATE) * (impacts(8) + BEGIN)
+    times += 1e-4 * np.random.default_rng(4).standard_normal(8)
+    heard = recording("impact", times, times, "s")
+    found = zo.identify("bouncing_ball", _first(), ["restitution"], second=heard)
+    shown, error, faster, unsure = _clock(found.remarks)
+    assert abs(shown - (1 + RATE) * BEGIN) < 4 * error + 1e-3
+    assert abs(faster - RATE) < 4 * unsure < 0.02
+    (one,) = found.fitted
+    assert one.low < E < one.high
+
+
+def test_a_comparison_takes_a_second_file_too() -> None:
+    found = zo.compare_transient(
+        "bouncing_ball", _first(), second=_second(), parameters={"restitution": E}
+    )
+    assert found.agrees, found.fit.verdict
+    shown, error, _, _ = _clock(found.remarks)
+    assert abs(shown - (1 + RATE) * BEGIN) < 4 * error
+    assert {one.trial for one in found.impacts} == {"trial 1", "second file"}
+    # Samples before the release shift the first recorded impact.
+    seen = [one for one in found.impacts if one.number in (2, 3)]
+    assert len(seen) == 4
+    assert max(abs(one.recorded - one.fitted) for one in seen) < 0.01
+
+
+def test_a_rate_that_a_short_file_does_not_determine_is_named() -> None:
+    shown = np.arange(0.0, 0.18, 1 / 60)
+    noise = 5e-3 * np.random.default_rng(2).standard_normal(len(shown))
+    short = recording("height", shown, heights(shown + 0.65) + noise)
+    found = zo.compare_transient(
+        "bouncing_ball", _first(), second=short, parameters={"restitution": E}
+    )
+    assert any("the rate of its clock is not determined" in word for word in found.remarks)
+
+
+def test_a_file_of_another_motion_is_refused() -> None:
+    times = np.arange(0.0, 2.0, 0.01)
+    other = recording("height", times, np.random.default_rng(5).uniform(0.0, 1.0, 200))
+    with pytest.raises(UnfittableError, match="second file does not show the motion of trial 1"):
+        zo.compare_transient("bouncing_ball", _first(), second=other, parameters={"restitution": E})
+
+
+def test_a_second_file_belongs_to_one_transient(tmp_path: object) -> None:
+    with pytest.raises(InputError, match="Argument `second` belongs to a single trial"):
+        zo.identify("bouncing_ball", [_first(), _first()], ["restitution"], second=_second())
+    with pytest.raises(InputError, match="Argument `second` needs transients"):
+        zo.identify("bouncing_ball", _first(), ["restitution"], second=_second(), transient=False)
+    path = f"{tmp_path}/drop.csv"
+    zo.write_recording(_first(), path)
+    words = ("identify", "bouncing_ball", path, "--fit", "restitution", "--second", path)
+    answer = ask(*words, "--law", "constant,linear")
+    assert answer.code == 2
+    assert "--second" in answer.err
+    assert "--law" in answer.err
