@@ -76,7 +76,7 @@ def _clock(remarks: tuple[str, ...]) -> tuple[float, float, float, float]:
 @pytest.mark.parametrize(("begin", "rate"), [(BEGIN, RATE), (-0.3, -0.01)])
 def test_the_clock_of_a_second_file_is_found_with_the_parameters(begin: float, rate: float) -> None:
     found = zo.identify(
-        "bouncing_ball", _first(), ["restitution"], second=_second(begin, rate), transient=True
+        "bouncing_ball", _first(), ["restitution"], second_file=_second(begin, rate), transient=True
     )
     shown, error, faster, unsure = _clock(found.remarks)
     assert abs(shown - (1 + rate) * begin) < 4 * error < 4e-3
@@ -94,7 +94,7 @@ def test_times_of_a_microphone_are_laid_over_a_video() -> None:
     times = (1 + RATE) * (impacts(8) + BEGIN)
     times += 1e-4 * np.random.default_rng(4).standard_normal(8)
     heard = recording("impact", times, times, "s")
-    found = zo.identify("bouncing_ball", _first(), ["restitution"], second=heard)
+    found = zo.identify("bouncing_ball", _first(), ["restitution"], second_file=heard)
     shown, error, faster, unsure = _clock(found.remarks)
     assert abs(shown - (1 + RATE) * BEGIN) < 4 * error + 1e-3
     assert abs(faster - RATE) < 4 * unsure < 0.02
@@ -104,7 +104,7 @@ def test_times_of_a_microphone_are_laid_over_a_video() -> None:
 
 def test_a_comparison_takes_a_second_file_too() -> None:
     found = zo.compare_transient(
-        "bouncing_ball", _first(), second=_second(), parameters={"restitution": E}
+        "bouncing_ball", _first(), second_file=_second(), parameters={"restitution": E}
     )
     assert found.agrees, found.fit.verdict
     shown, error, _, _ = _clock(found.remarks)
@@ -121,7 +121,7 @@ def test_a_rate_that_a_short_file_does_not_determine_is_named() -> None:
     noise = 5e-3 * np.random.default_rng(2).standard_normal(len(shown))
     short = recording("height", shown, heights(shown + 0.65) + noise)
     found = zo.compare_transient(
-        "bouncing_ball", _first(), second=short, parameters={"restitution": E}
+        "bouncing_ball", _first(), second_file=short, parameters={"restitution": E}
     )
     assert any("the rate of its clock is not determined" in word for word in found.remarks)
 
@@ -130,18 +130,22 @@ def test_a_file_of_another_motion_is_refused() -> None:
     times = np.arange(0.0, 2.0, 0.01)
     other = recording("height", times, np.random.default_rng(5).uniform(0.0, 1.0, 200))
     with pytest.raises(UnfittableError, match="second file does not show the motion of trial 1"):
-        zo.compare_transient("bouncing_ball", _first(), second=other, parameters={"restitution": E})
+        zo.compare_transient(
+            "bouncing_ball", _first(), second_file=other, parameters={"restitution": E}
+        )
 
 
 def test_a_second_file_belongs_to_one_transient(tmp_path: object) -> None:
-    with pytest.raises(InputError, match="Argument `second` belongs to a single trial"):
-        zo.identify("bouncing_ball", [_first(), _first()], ["restitution"], second=_second())
-    with pytest.raises(InputError, match="Argument `second` needs transients"):
-        zo.identify("bouncing_ball", _first(), ["restitution"], second=_second(), transient=False)
+    with pytest.raises(InputError, match="Argument `second_file` belongs to a single trial"):
+        zo.identify("bouncing_ball", [_first(), _first()], ["restitution"], second_file=_second())
+    with pytest.raises(InputError, match="Argument `second_file` needs transients"):
+        zo.identify(
+            "bouncing_ball", _first(), ["restitution"], second_file=_second(), transient=False
+        )
     path = f"{tmp_path}/drop.csv"
     zo.write_recording(_first(), path)
-    words = ("identify", "bouncing_ball", path, "--fit", "restitution", "--second", path)
+    words = ("identify", "bouncing_ball", path, "--fit", "restitution", "--second-file", path)
     answer = ask(*words, "--law", "constant,linear")
     assert answer.code == 2
-    assert "--second" in answer.err
+    assert "--second-file" in answer.err
     assert "--law" in answer.err

@@ -35,7 +35,7 @@ from .machines import describe_recording as describe_recording
 from .machines import identify as identify
 from .machines import identify_trials as identify_trials
 from .machines import labelled_recordings as labelled_recordings
-from .machines import second_file as second_file
+from .machines import read_second_file as read_second_file
 from .machines import machine_of as machine_of
 from .machines import recording_for as recording_for
 from .machines import rig_duration as rig_duration

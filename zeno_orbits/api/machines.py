@@ -138,7 +138,7 @@ def identify(
     parameters: Numbers | None = None,
     start: Numbers | None = None,
     initial: Sequence[str] = (),
-    second: Recording | str | Path | None = None,
+    second_file: Recording | str | Path | None = None,
     transient: bool | None = None,
     t_start: float | None = None,
     t_end: float | None = None,
@@ -165,7 +165,7 @@ def identify(
             samples, and their rates near the slopes there.
         initial: Further initial values of transients to determine: states that are not recorded,
             ``clock`` for the phase of the clock, ``offset`` for the time of the start.
-        second: A second file of the same transient on another clock, whose offset and rate are
+        second_file: A second file of the same transient on another clock, whose offset and rate are
             determined too.
         transient: Whether transients are fitted. The default is to decide by the recordings.
         t_start: First time of the recordings that counts [s].
@@ -186,7 +186,7 @@ def identify(
         values=known.values(gains=gains, parameters=parameters),
         start=start,
         initial=initial,
-        second=second_file(known, second, on_progress),
+        second=read_second_file(known, second_file, on_progress),
         transient=transient,
         on_progress=on_progress,
     )
@@ -364,7 +364,7 @@ def labelled_recordings(
     ]
 
 
-def second_file(
+def read_second_file(
     problem: Problem, second: Recording | str | Path | None, on_progress: Progress = silent
 ) -> SecondFile | None:
     """Return a second file of a motion, which was read, or ``None`` if there is none.
@@ -386,7 +386,7 @@ def second_file(
 def _require_one_trial(trials: Sequence[tuple[str, Recording]], second: SecondFile | None) -> None:
     if second is not None and len(trials) > 1:
         wanted = f"belongs to a single trial, but {len(trials)} recordings are given"
-        raise InputError(f"Argument `second` {wanted}: omit one of both.")
+        raise InputError(f"Argument `second_file` {wanted}: omit one of both.")
 
 
 def _are_transients(
@@ -406,7 +406,7 @@ def _are_transients(
 
     _require_one_trial(trials, second)
     asked = "start" if start else "initial" if initial else "recording" if len(trials) > 1 else ""
-    asked = asked or ("" if second is None else "second")
+    asked = asked or ("" if second is None else "second_file")
     if transient is False and asked:
         wanted = "needs transients: omit `transient`, or set it to True"
         raise InputError(f"Argument `{asked}` {wanted}.")
@@ -425,7 +425,7 @@ def compare_transient(
     parameters: Numbers | None = None,
     start: Numbers | None = None,
     initial: Sequence[str] = (),
-    second: Recording | str | Path | None = None,
+    second_file: Recording | str | Path | None = None,
     t_start: float | None = None,
     t_end: float | None = None,
     on_progress: Progress = silent,
@@ -444,7 +444,7 @@ def compare_transient(
         parameters: Parameters that differ from their defaults.
         start: Known initial values, as for `identify`.
         initial: Further initial values to determine, as for `identify`.
-        second: A second file of the same transient on another clock, as for `identify`.
+        second_file: A second file of the same transient on another clock, as for `identify`.
         t_start: First time of the recordings that counts [s].
         t_end: Last time of the recordings that counts [s].
         on_progress: Called with the stage and the part of it that is done.
@@ -458,7 +458,7 @@ def compare_transient(
     known = known_problem(problem)
     values = known.values(gains=gains, parameters=parameters)
     trials = labelled_recordings(known, recording, t_start, t_end, on_progress)
-    other = second_file(known, second, on_progress)
+    other = read_second_file(known, second_file, on_progress)
     _require_one_trial(trials, other)
     return compare_transients(
         known,

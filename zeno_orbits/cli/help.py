@@ -36,7 +36,7 @@ GROUPS = {
         "--unit",
         "--zero",
         "--frame-rate",
-        *("--trial", "--initial", "--transient", "--law"),
+        *("--trial", "--second-file", "--initial", "--transient", "--law"),
     ),
     "machine": ("--part", "--only", "--without", "--exact-pwm", "--cycles"),
     "objective": (

@@ -167,7 +167,7 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
         help="recordings of further trials of a transient, with the same parameters",
     )
     parser.add_argument(
-        "--second",
+        "--second-file",
         type=Path,
         metavar="FILE",
         help="a second file of the same transient on another clock; the offset and the rate of "
@@ -198,7 +198,7 @@ def _read_names(text: str) -> tuple[str, ...]:
 
 def _files(options: argparse.Namespace) -> list[Path]:
     """Return the files of recordings that a command reads."""
-    second = [] if options.second is None else [options.second]
+    second = [] if options.second_file is None else [options.second_file]
     return [options.data, *options.trials, *second]
 
 
@@ -210,8 +210,8 @@ def _run_compare(options: argparse.Namespace) -> int:
     orbit_path = Path(options.problem)
     require_outputs(options, {"picture": PICTURE}, reads=[orbit_path, *files])
     for name, given in (("--set", options.set), ("--start", options.start)):
-        others = ("--trial" if options.trials else "--initial", "--second")
-        if given or options.trials or options.initial or options.second is not None:
+        others = ("--trial" if options.trials else "--initial", "--second-file")
+        if given or options.trials or options.initial or options.second_file is not None:
             asked = name if given else others[not (options.trials or options.initial)]
             raise InputError(f"Argument `{asked}` needs a problem in place of `{orbit_path}`.")
     orbit = api.any_orbit(orbit_path)
@@ -250,7 +250,7 @@ def _run_compare_transient(options: argparse.Namespace) -> int:
         found = api.compare_transient(
             problem,
             [options.data, *options.trials],
-            second=options.second,
+            second_file=options.second_file,
             fit=options.fit,
             gains=gains,
             parameters=parameters,
@@ -357,8 +357,8 @@ def _run_identify(options: argparse.Namespace) -> int:
         raise InputError("Argument `--orbit` must go without --transient, which shows no orbit.")
     if options.law and options.orbit is not None:
         raise InputError("Argument `--orbit` must go without --law, which fits transients.")
-    if options.law and options.second is not None:
-        raise InputError("Argument `--second` must go without --law, which compares trials.")
+    if options.law and options.second_file is not None:
+        raise InputError("Argument `--second-file` must go without --law, which compares trials.")
     outputs = {"output": JSON, "orbit": JSON, "picture": PICTURE}
     require_outputs(options, outputs, reads=_files(options))
     with report.ProgressLine(options.interrupts.check) as progress:
@@ -385,7 +385,7 @@ def _run_identify(options: argparse.Namespace) -> int:
                 values=problem.values(gains=gains, parameters=parameters),
                 start=options.start,
                 initial=options.initial,
-                second=api.second_file(problem, options.second, progress),
+                second=api.read_second_file(problem, options.second_file, progress),
                 # An orbit to write is one to fit.
                 transient=True if options.transient else None if options.orbit is None else False,
                 on_progress=progress,
