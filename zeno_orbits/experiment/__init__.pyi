@@ -14,7 +14,7 @@ from .identification.identification import Identification as Identification
 from .identification.identification import UnfittableError as UnfittableError
 from .identification.identification import fit_parameters as fit_parameters
 from .identification.identification import fit_transient_parameters as fit_transient_parameters
-from .identification.instruments import default_range as default_range
+from .comparison.instruments import default_range as default_range
 from .identification.unknowns import FitParameter as FitParameter
 from .orbit_table import OrbitTable as OrbitTable
 from .orbit_table import PeriodTable as PeriodTable

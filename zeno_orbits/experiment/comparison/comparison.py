@@ -26,6 +26,7 @@ from zeno_orbits.experiment.comparison.event_contacts import coarse_channel
 from zeno_orbits.experiment.comparison.gap_model import gap_model, recorded_gap
 from zeno_orbits.experiment.comparison.gap_samples import stop_level
 from zeno_orbits.experiment.comparison.instrument_errors import without_errors
+from zeno_orbits.experiment.comparison.instruments import InstrumentReading
 from zeno_orbits.experiment.comparison.metrics import (
     Metric,
     contact_metrics,
@@ -46,7 +47,6 @@ from zeno_orbits.experiment.comparison.verdict import (
     contact_finding,
     differing,
 )
-from zeno_orbits.experiment.identification.instruments import InstrumentReading
 from zeno_orbits.experiment.orbit_table import GAP, STOP, OrbitTable, PeriodTable
 from zeno_orbits.experiment.recordings.contacts import contact_channels, contact_names
 from zeno_orbits.experiment.recordings.periodicity import Periodicity

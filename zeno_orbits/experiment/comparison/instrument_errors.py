@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, not_known
 from zeno_orbits.experiment.comparison.estimate import Estimate
-from zeno_orbits.experiment.comparison.overlay import Overlay, lay_over, shared_signals
-from zeno_orbits.experiment.identification.instruments import (
+from zeno_orbits.experiment.comparison.instruments import (
     InstrumentReading,
     Instruments,
     ReadingKind,
@@ -27,6 +26,7 @@ from zeno_orbits.experiment.identification.instruments import (
     instruments_of,
     rough_errors,
 )
+from zeno_orbits.experiment.comparison.overlay import Overlay, lay_over, shared_signals
 from zeno_orbits.experiment.orbit_table import ROUGHLY, beside_jumps
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import Problem

@@ -13,6 +13,7 @@ from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.comparison import compare_recording
 from zeno_orbits.experiment.comparison.folding import Folded, folded
+from zeno_orbits.experiment.comparison.instruments import corrected
 from zeno_orbits.experiment.comparison.overlay import shared_signals
 from zeno_orbits.experiment.identification.contact_rows import (
     NO_CONTACTS,
@@ -20,7 +21,6 @@ from zeno_orbits.experiment.identification.contact_rows import (
     contact_rows,
 )
 from zeno_orbits.experiment.identification.event_period import event_period
-from zeno_orbits.experiment.identification.instruments import corrected
 from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.orbit_table import PeriodTable, measurement

@@ -10,7 +10,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, did_you_mean
-from zeno_orbits.experiment.identification.instruments import (
+from zeno_orbits.experiment.comparison.instruments import (
     InstrumentReading,
     Instruments,
     ReadingKind,

@@ -20,7 +20,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.experiment.identification.instruments import instruments_of
+from zeno_orbits.experiment.comparison.instruments import instruments_of
 from zeno_orbits.experiment.transients.shooting import Shooting, event_times, matched
 from zeno_orbits.experiment.transients.staged_fit import StagedFit
 from zeno_orbits.simulation import Impact

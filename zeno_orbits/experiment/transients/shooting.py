@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.identification.instruments import Instruments, instruments_of
+from zeno_orbits.experiment.comparison.instruments import Instruments, instruments_of
 from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.transients.event_labels import sequences_of
 from zeno_orbits.experiment.transients.event_record import EventSeries

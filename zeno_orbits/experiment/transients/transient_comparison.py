@@ -16,7 +16,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.estimate import Estimate, instruments_json
-from zeno_orbits.experiment.identification.instruments import Instruments, instruments_of
+from zeno_orbits.experiment.comparison.instruments import Instruments, instruments_of
 from zeno_orbits.experiment.identification.unknowns import FitParameter
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.experiment.transients.second_clock import SecondFile
