@@ -477,3 +477,38 @@ def test_event_times_of_two_stops_and_releases_give_two_parameters() -> None:
         assert abs(one.value - true) < 4 * one.error < 0.05 * true
     assert found.transient is not None
     assert found.transient.trials[0].missed == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [7, 31])
+def test_a_velocity_with_hidden_impacts_leads_to_the_true_optimum(seed: int) -> None:
+    """Noise hides the impacts in the position, and the velocity has samples beside them."""
+    random = np.random.default_rng(seed)
+    truth = {
+        name: value * float(random.uniform(0.9, 1.1))
+        for name, value in {"restitution": 0.3, "k": 1.0, "c": 0.1}.items()
+    }
+    motion = zo.simulate(
+        "clapper", until=3.0, parameters=truth, start={"place": 0.1, "cosine": 1.0}
+    )
+    sampled = zo.sample_execution(
+        "clapper", motion, parameters=truth, rate=100.0, noise=0.02, seed=seed
+    )
+    kept = tuple(one for one in sampled.signals if one.name in ("place", "speed"))
+    begin = {name: 1.2 * value for name, value in truth.items()}
+    found = zo.identify(
+        "clapper",
+        replace(sampled, signals=kept),
+        list(truth),
+        parameters=begin,
+        transient=True,
+    )
+    detail = found.transient
+    assert detail is not None
+    assert detail.trials[0].seen_impacts < len(detail.trials[0].impacts)
+    assert not detail.tests.has_structure
+    # The other optima leave residuals of 1.2 times the noise.
+    assert detail.tests.misfit < 1.15
+    for one in found.fitted:
+        if math.isfinite(one.error):
+            assert abs(one.value - truth[one.unknown.label]) < 4 * one.error
