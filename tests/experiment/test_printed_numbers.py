@@ -32,6 +32,7 @@ def test_a_comparison_prints_each_number_in_its_column(capsys: pytest.CaptureFix
     found: Any = SimpleNamespace(
         metrics=metrics,
         recording=recording(),
+        instruments={},
         remarks=("rough",),
         is_zeno=True,
         verdict=ComparisonVerdict.OTHER_VALUES,
@@ -56,6 +57,7 @@ def test_a_comparison_that_is_a_no_says_why(capsys: pytest.CaptureFixture[str]) 
     found: Any = SimpleNamespace(
         metrics=(),
         recording=recording(),
+        instruments={},
         remarks=(),
         is_zeno=True,
         verdict=ComparisonVerdict.NO_ORBIT,
