@@ -8,6 +8,9 @@ from .graph_program import GraphFormulas as GraphFormulas
 from .graph_program import GraphProgram as GraphProgram
 from .views import Side as Side
 from .views import View as View
+from .closing import ClosedRecord as ClosedRecord
+from .closing import Closing as Closing
+from .closing import closed_record as closed_record
 from .compiler import find_compiler as find_compiler
 from .folder import library_folder as library_folder
 from .library import loop_account as loop_account

@@ -189,6 +189,21 @@ class PairType(ctypes.Structure):
     ]
 
 
+class ClosingType(ctypes.Structure):
+    """Newton's method of a return: ``zl_closing``."""
+
+    _fields_ = [
+        *((name, _number) for name in ("guess", "exact", "trusted")),
+        *((name, _number * MOST) for name in ("start", "sizes")),
+        *((name, _count) for name in ("section", "n_returns")),
+        *((name, _address) for name in ("settings", "p", "shifts", "work")),
+        ("period", _number),
+        *((name, _number * MOST) for name in ("end", "scale")),
+        ("by_state", _number * (MOST * MOST)),
+        *((name, _count) for name in ("n_arcs", "n_events")),
+    ]
+
+
 def declared(library: Any) -> Any:
     """Return the library with the types of its functions declared."""
     pointer, whole = ctypes.c_void_p, ctypes.c_int
@@ -214,6 +229,7 @@ def declared(library: Any) -> Any:
         "zl_copy": (None, [pointer] * 3),
         "zl_tangent_work": (_count, [pointer] * 2),
         "zl_follow": (_count, [*[pointer] * 4, whole, pointer]),
+        "zl_close": (whole, [pointer] * 7),
         "zl_course": (None, [*[pointer] * 4, whole, *[pointer] * 4]),
         "zl_fault": (whole, [pointer]),
         "zl_begin_leg": (whole, [*[pointer] * 5, whole, _number, _number]),

@@ -48,6 +48,10 @@ class ExportedRun:
     switch_names: Sequence[str] = ()
 
 
+_ONLY_HERE = tuple(f"{name}.{end}" for name in ("tangent", "turns", "returns") for end in "hc")
+"""Parts of the library that an exported run lacks."""
+
+
 def exported_files(program: GraphProgram, run: ExportedRun) -> dict[str, str]:
     """Return the exported files, name to text: the code, its header and an example.
 
@@ -63,7 +67,7 @@ def exported_files(program: GraphProgram, run: ExportedRun) -> dict[str, str]:
     # The library includes its own header, which the exported header replaces.
     places = {
         "loop.h": f'#include "{stem}.h"\n',
-        **dict.fromkeys(("tangent.h", "tangent.c", "turns.h", "turns.c"), ""),
+        **dict.fromkeys(_ONLY_HERE, ""),
     }
     if program.only_view is not None:
         view = program.only_view

@@ -9,6 +9,7 @@
 #include "loop.h"
 #include "tangent.h"
 #include "turns.h"
+#include "returns.h"
 
 #include "rules.h"
 
@@ -209,5 +210,6 @@ void zl_copy(const zl_problem *problem, const zl_run *from, zl_run *to) {
 
 #include "turns.c"
 #include "tangent.c"
+#include "returns.c"
 #include "one_leg.c"
 #include "check.c"

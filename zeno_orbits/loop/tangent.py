@@ -41,7 +41,12 @@ class Track:
 
 
 class TangentProgram:
-    """Derivatives of a problem with respect to its states and chosen parameters."""
+    """Derivatives of a problem with respect to its states and chosen parameters.
+
+    Attributes:
+        address: Address of the tapes.
+        work: Numbers of the memory that the derivatives of an execution take.
+    """
 
     def __init__(self, program: Program, formulas: DerivativeFormulas) -> None:
         """Make the tapes.
@@ -66,8 +71,8 @@ class TangentProgram:
                 getattr(place, name)[mode] = array.ctypes.data
             place.n_blocks[mode] = arrays[-1].size
         place.matrix[:] = np.ravel(radau_scheme(c.STAGES).matrix).tolist()
-        self._address = ctypes.addressof(place)
-        self._work: int = program.library.zl_tangent_work(program.address, self._address)
+        self.address = ctypes.addressof(place)
+        self.work: int = program.library.zl_tangent_work(program.address, self.address)
 
     @property
     def n_columns(self) -> int:
@@ -75,7 +80,7 @@ class TangentProgram:
         return self._n_x + self._n_chosen
 
     @property
-    def _width(self) -> int:
+    def width(self) -> int:
         """Number of columns, rounded up to whole lanes."""
         return -(-self.n_columns // c.LANES) * c.LANES
 
@@ -90,11 +95,11 @@ class TangentProgram:
         Returns:
             ``(n, 3, 2 + n_x, m)``, for the arcs that have derivatives.
         """
-        shifts = np.zeros((1 + len(track.record.arcs), 3, 2 + self._n_x, self._width))
+        shifts = np.zeros((1 + len(track.record.arcs), 3, 2 + self._n_x, self.width))
         shifts[0, 2, :, : self.n_columns] = start
         with self._held(track) as (memory, place):
             n: int = self._program.library.zl_follow(
-                *(self._program.address, self._address, memory, place, joins, shifts.ctypes.data)
+                *(self._program.address, self.address, memory, place, joins, shifts.ctypes.data)
             )
         return shifts[1 : n + 1, :, :, : self.n_columns]
 
@@ -112,17 +117,17 @@ class TangentProgram:
             Times in the flow's own time, ``(n,)``, and derivatives, ``(n, n_y, m)``.
         """
         n = int(track.record.arcs[0, _N_STEPS]) * parts
-        times, rows = np.zeros(n), np.zeros((n, len(v), self._width))
+        times, rows = np.zeros(n), np.zeros((n, len(v), self.width))
         given = self._padded(v), self._padded(q)
         with self._held(track) as (memory, place):
             self._program.library.zl_course(
-                *(self._program.address, self._address, memory, place, parts),
+                *(self._program.address, self.address, memory, place, parts),
                 *(array.ctypes.data for array in (*given, times, rows)),
             )
         return times, rows[:, :, : self.n_columns]
 
     def _padded(self, rows: Vector) -> Vector:
-        padded = np.zeros((len(rows), self._width))
+        padded = np.zeros((len(rows), self.width))
         padded[:, : self.n_columns] = rows
         return padded
 
@@ -142,7 +147,7 @@ class TangentProgram:
         place.trusted, place.restitution = track.trusted, address(track.by_parameters)
         width = c.ESTIMATE_WIDTH + 2 * self._n_x
         place.estimates = address(np.empty((1 + len(record.arcs), width)))
-        place.work = address(np.empty(self._work))
+        place.work = address(np.empty(self.work))
         settings = c.SettingsType()
         settings.restitution = track.restitution
         memory = self._program.borrowed()

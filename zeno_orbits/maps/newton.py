@@ -7,7 +7,7 @@ The start is the limit of the last returns. The returns and their exact derivati
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 from typing import Any
 
@@ -17,6 +17,7 @@ from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.maps.approach import Accuracy
 from zeno_orbits.maps.attractors import Attractor, AttractorClass
+from zeno_orbits.maps.closing import ClosedOrbit, orbit_by_loop
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits import (
     EventReturn,
@@ -46,23 +47,6 @@ from zeno_orbits.simulation import (
     state_after,
     transient_settings,
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClosedOrbit:
-    """A periodic orbit near a motion.
-
-    Attributes:
-        attractor: The orbit.
-        n_returns: Events of the section in a period.
-        chart: Chart around its state on the section.
-        slope: Derivative of the return in the chart, ``(d, d)``.
-    """
-
-    attractor: Attractor
-    n_returns: int
-    chart: Section
-    slope: Vector
 
 
 _AT_ONCE = 1e-9
@@ -119,6 +103,9 @@ def orbit_near(
     """
     settings = transient_settings(accuracy.orbit)
     same: Any = {"section": section, "n_returns": n_returns, "settings": settings, "mode": mode}
+    by_loop = orbit_by_loop(graph, x, guess=guess, exact=accuracy.exact, starts=starts, **same)
+    if by_loop is not None:
+        return by_loop
     try:
         found = closed_return(graph, x, guess=guess, is_near=True, exact=accuracy.exact, **same)
         found = shortest_return(graph, found, settings)

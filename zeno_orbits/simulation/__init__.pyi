@@ -36,6 +36,7 @@ from .events import ZenoPoint as ZenoPoint
 from .events import event_name as event_name
 from .events import state_after as state_after
 from .events import state_before as state_before
+from .derivatives.closing import closed_by_loop as closed_by_loop
 from .derivatives.sensitivity import SaltationDerivative as SaltationDerivative
 from .derivatives.sensitivity import change_of as change_of
 from .pieces import Piece as Piece

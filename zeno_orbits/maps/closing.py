@@ -1,0 +1,210 @@
+"""The orbit near the returns of a machine with one stop, by Newton's method in the compiled loop.
+
+The loop closes the return and has its derivatives. The orbit is told by them as `newton` tells it
+by the reference, which serves all other machines and whatever the loop leaves to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector, eigenvalues
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.loop import ClosedRecord, binding
+from zeno_orbits.maps.attractors import Attractor, AttractorClass
+from zeno_orbits.model import GraphDynamics
+from zeno_orbits.orbits import (
+    Section,
+    SectionMode,
+    extrapolated,
+    inverse_where_moved,
+    kept_section,
+    kind_of_events,
+    orbit_event_name,
+    phases_of_events,
+    sequence_of,
+)
+from zeno_orbits.simulation import (
+    Event,
+    Impact,
+    Release,
+    SimulationSettings,
+    SimulationTask,
+    ZenoPoint,
+    closed_by_loop,
+    state_after,
+)
+
+_END, _ENDING = 2, 5
+"""Columns of an arc's row: time of its end, and the event there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClosedOrbit:
+    """A periodic orbit near a motion.
+
+    Attributes:
+        attractor: The orbit.
+        n_returns: Events of the section in a period.
+        chart: Chart around its state on the section.
+        slope: Derivative of the return in the chart, ``(d, d)``.
+    """
+
+    attractor: Attractor
+    n_returns: int
+    chart: Section
+    slope: Vector
+
+
+def orbit_by_loop(
+    graph: GraphDynamics,
+    x: Vector,
+    *,
+    section: str,
+    n_returns: int,
+    guess: float,
+    mode: SectionMode,
+    settings: SimulationSettings,
+    exact: float,
+    starts: Sequence[str],
+) -> ClosedOrbit | None:
+    """Return the orbit near a state of a section, or ``None`` if the reference has to look for it.
+
+    Args:
+        graph: The graph of modes.
+        x: The state just after the event of the section, ``(n_x,)``.
+        section: Name of the event.
+        n_returns: Number of such events in a period.
+        guess: Approximate period [s].
+        mode: The mode just after the event.
+        settings: Accuracy.
+        exact: Largest relative correction of the orbit.
+        starts: Events at which a period starts, the best first.
+    """
+    if not graph.has_one_guard or not starts or mode != _mode_after(graph, section):
+        return None
+    if any(view.restitution == 0.0 for view in graph.open_views):
+        return None
+    task = SimulationTask(dynamics=graph, state=x, until=guess, settings=_resolving(settings))
+    closed = closed_by_loop(task, section=section, n_returns=n_returns, guess=guess, exact=exact)
+    if closed is None:
+        return None
+    found, events = closed
+    names = [orbit_event_name(event) for event in events]
+    if n_returns > 1 and _may_be_shorter(found, events, names):
+        return None
+    chart = kept_section(graph, found.end, mode, found.scale)
+    slope = chart.components(found.by_state @ chart.lift)
+    try:
+        off = chart.components(found.end - found.start)
+        change = chart.lift @ (inverse_where_moved(np.eye(len(slope)) - slope) @ off)
+        multipliers = eigenvalues(slope)[: _least_dimension(graph, found, events, names)]
+    except (SimulationError, np.linalg.LinAlgError):
+        return None
+    return ClosedOrbit(
+        attractor=_attractor(graph, found, events, multipliers, change, starts),
+        n_returns=n_returns,
+        chart=replace(chart, centre=found.start + change),
+        slope=slope,
+    )
+
+
+@lru_cache(maxsize=64)
+def _resolving(settings: SimulationSettings) -> SimulationSettings:
+    """Return settings that resolve impacts."""
+    return replace(settings, completion=extrapolated(settings))
+
+
+def _mode_after(graph: GraphDynamics, section: str) -> SectionMode:
+    """Return the mode just after an event that no other event causes, of the only stop."""
+    kind, _, stop = section.partition(" ")
+    return SectionMode(
+        closed=(stop,) if kind == "zeno" else (),
+        sides=graph.open_mode[1],
+        stop=stop if kind == "impact" else "",
+        released=stop if kind == "release" else "",
+    )
+
+
+_NEAR = 0.05
+"""Relative distance from the start below which an orbit may close after fewer returns."""
+
+
+def _may_be_shorter(found: ClosedRecord, events: Sequence[Event], names: Sequence[str]) -> bool:
+    """Return True if an earlier return of the section is near the start."""
+    marks = [event for event, name in zip(events, names, strict=True) if name == names[-1]]
+    return any(
+        np.max(np.abs(state_after(event) - found.start) / found.scale) < _NEAR
+        for event in marks[:-1]
+    )
+
+
+def _least_dimension(
+    graph: GraphDynamics, found: ClosedRecord, events: Sequence[Event], names: Sequence[str]
+) -> int:
+    """Return the least dimension of the sections of all events, which bounds the multipliers."""
+    ends = {names[phase[-1]]: events[phase[-1]] for phase in phases_of_events(names)}
+    return min(
+        kept_section(graph, state_after(event), _mode_after(graph, name), found.scale).dimension
+        for name, event in ends.items()
+    )
+
+
+def _attractor(
+    graph: GraphDynamics,
+    found: ClosedRecord,
+    events: Sequence[Event],
+    multipliers: tuple[complex, ...],
+    change: Vector,
+    starts: Sequence[str],
+) -> Attractor:
+    """Return an orbit from the best of its starts."""
+    names = [orbit_event_name(event) for event in events]
+    name = next(one for one in starts if one in names)
+    place = max(k for k, one in enumerate(names) if one == name)
+    last = found.shifts[-1, 0 if names[-1].startswith("zeno ") else 2]
+    moved = _after(found, events[place])[2:] @ change
+    kind = kind_of_events([(one, event.time) for one, event in zip(names, events, strict=True)])
+    return Attractor(
+        fate=AttractorClass(kind),
+        returns=names.count(name),
+        period=found.period + float(last[0] @ change),
+        multipliers=multipliers,
+        margins=_margins(graph, found.period, events),
+        state=dict(
+            zip(graph.state_names, (state_after(events[place]) + moved).tolist(), strict=True)
+        ),
+        sequence=sequence_of([*names[place + 1 :], *names[: place + 1]]),
+    )
+
+
+def _after(found: ClosedRecord, event: Event) -> Vector:
+    """Return the derivatives after an impact or a release, ``(2 + n_x, n_x)``."""
+    ending = binding.IMPACT if isinstance(event, Impact) else binding.RELEASE
+    ends = (found.arcs[:, _END] == event.time) & (found.arcs[:, _ENDING] == ending)
+    return found.shifts[int(np.flatnonzero(ends)[0]), 2]
+
+
+def _margins(graph: GraphDynamics, period: float, events: Sequence[Event]) -> Mapping[str, float]:
+    """Return the smallest margins over the contact phases and impacts of an orbit."""
+    # An impact is the first of its sequence if none comes between it and the end of contact.
+    cyclic, view = [events[-1], *events], graph.first
+    phases = phases_of_events([orbit_event_name(event) for event in events])
+    first = [events[phase[0]] for phase in phases]
+    speeds = [-event.approach_rate for event in first if isinstance(event, Impact)]
+    margins = {"first_impact_speed": min(speeds)} if speeds else {}
+    for k, (zeno, release) in enumerate(pairwise(cyclic)):
+        if not isinstance(zeno, ZenoPoint) or not isinstance(release, Release):
+            continue
+        own = {
+            "gap_acceleration": -view.gap_acceleration(zeno.state),
+            "release_transversality": -view.multiplier_rate(release.state),
+            "locked_time": release.time - zeno.time + (0.0 if k else period),
+        }
+        margins |= {name: min(value, margins.get(name, value)) for name, value in own.items()}
+    return margins
