@@ -320,8 +320,10 @@ static int inverted(Square a, int n) {
             }
         }
     }
-    for (i = 0; i < n; i++)
-        for (j = 0; j < n; j++) a[i][j] = inverse[i][j] / a[i][i];
+    for (i = 0; i < n; i++) {
+        const double pivot = a[i][i];
+        for (j = 0; j < n; j++) a[i][j] = inverse[i][j] / pivot;
+    }
     return 1;
 }
 
