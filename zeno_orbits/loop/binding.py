@@ -20,6 +20,8 @@ MODE, INSIDE, SLIDES, COINCIDE, SPLITS, TOGETHER, IN_TURN = range(15, 22)
 ACCUMULATE, UNDEFINED, UNDETERMINED, BY_SWITCH, ARMED, UNORDERED = range(22, 28)
 BEYOND_LAW = 28
 
+CLOSED, OPEN, ASKS = range(3)
+
 GUARDS, STOPS, ORDERS = 16, 8, 64
 
 _number, _count, _address = ctypes.c_double, ctypes.c_longlong, ctypes.c_void_p

@@ -12,6 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import SimulationError
 from zeno_orbits.loop import binding as c
 from zeno_orbits.loop.program import Program, TapedProblem
 from zeno_orbits.loop.tangent import TangentProgram
@@ -104,6 +105,10 @@ def closed_record(
         view: The formulas of its only view.
         tangent: Their derivatives with respect to the state.
         closing: The return.
+
+    Raises:
+        SimulationError: If there is no orbit: the motion does not return, or it cannot be continued,
+            or a correction of Newton's method is not smaller than the one before.
     """
     n = program.n_x
     place = c.ClosingType(
@@ -121,13 +126,19 @@ def closed_record(
     room = rooms.pop() if rooms else _Room(n, tangent.width)
     place.shifts = room.shifts.ctypes.data
     with _memory(program) as run, _memory(view) as other:
-        found = program.library.zl_close(
+        status = program.library.zl_close(
             *(program.address, run, view.address, tangent.address, other),
             *(ctypes.addressof(room.records), ctypes.addressof(place)),
         )
-    made = _record(place, room, n) if found else None
+    found = _record(place, room, n) if status == c.CLOSED else None
     rooms.append(room)
-    return made
+    if status == c.OPEN:
+        raise SimulationError(
+            "Newton's method does not converge to a periodic orbit",
+            time=place.guess,
+            state=tuple(closing.x.tolist()),
+        )
+    return found
 
 
 def _record(place: c.ClosingType, room: _Room, n: int) -> ClosedRecord:

@@ -11,6 +11,7 @@
 #define CLOSE_DECAYED 1e-6
 #define CLOSE_ROUNDED 1e-9
 #define CLOSE_MISSED 1e-6
+#define CLOSE_FAR 1e-4
 #define CLOSE_HALVES 0.5
 #define CLOSE_SHRINKS 0.1
 /* As in Python. */
@@ -138,22 +139,29 @@ static int to_section(const Close *c, double *x) {
     return 1;
 }
 
-/* Carry out the motion from the start up to a time, and find the return; 0 without one. */
+/* Carry out the motion from the start up to a time, and find the return: ZL_CLOSED, or why not. */
 static int motion_returns(Close *c, double until) {
     zl_closing *closing = c->closing;
     zl_settings settings = *closing->settings;
     long long k, count = 0;
+    int status;
     settings.until = until;
-    if (zl_begin(c->problem, c->run, &settings, closing->p, closing->start) != ZL_DONE) return 0;
-    if (zl_resume(c->problem, c->run, c->records) != ZL_DONE || !c->records->n_arcs) return 0;
+    if (zl_begin(c->problem, c->run, &settings, closing->p, closing->start)) return ZL_ASKS;
+    status = zl_resume(c->problem, c->run, c->records);
+    if (status == ZL_FULL || status == ZL_ESTIMATES || status == ZL_CURVE || status == ZL_MODE)
+        return ZL_ASKS;
+    if (status != ZL_DONE) return ZL_OPEN;
+    /* A start in contact is moved to its release. */
+    if (!c->records->n_arcs || (c->records->n_events && close_event(c, 0)[0] == ZL_RELEASE))
+        return ZL_ASKS;
     for (k = 0; k < c->records->n_events && count < closing->n_returns; k++) {
         const double *event = close_event(c, k);
         count += event[0] == (double)closing->section && event[1] > CLOSE_AT_ONCE * closing->guess;
     }
     closing->n_events = k;
-    if (count < closing->n_returns) return 0;
+    if (count < closing->n_returns) return ZL_OPEN;
     closing->period = close_event(c, k - 1)[1];
-    return closing->period < close_arc(c, c->records->n_arcs - 1)[2];
+    return closing->period < close_arc(c, c->records->n_arcs - 1)[2] ? ZL_CLOSED : ZL_ASKS;
 }
 
 /* Whether the return has one event at a time and begins as its section does. */
@@ -169,16 +177,16 @@ static int is_plain(const Close *c) {
     return last + 1 == c->records->n_events || close_event(c, last + 1)[1] != closing->period;
 }
 
-/* The next return of the start, its end and the sizes of states; 0 if it is unusual. */
+/* The next return of the start, its end and the sizes of states: ZL_CLOSED, or why not. */
 static int follow_return(Close *c) {
     zl_closing *closing = c->closing;
     const size_t bytes = (size_t)c->n * sizeof(double);
     long long arc;
-    int i;
-    if (!motion_returns(c, CLOSE_WAIT * closing->guess) &&
-        !motion_returns(c, CLOSE_LONGEST * closing->guess))
-        return 0;
-    if (!is_plain(c)) return 0;
+    int i, status = motion_returns(c, CLOSE_WAIT * closing->guess);
+    if (status == ZL_OPEN && c->run->stage == OVER)
+        status = motion_returns(c, CLOSE_LONGEST * closing->guess);
+    if (status != ZL_CLOSED) return status;
+    if (!is_plain(c)) return ZL_ASKS;
     memcpy(closing->start, close_arc(c, 0) + ZL_ARC_WIDTH, bytes);
     memcpy(closing->end, close_event(c, closing->n_events - 1) + ZL_EVENT_WIDTH + c->n, bytes);
     memset(closing->scale, 0, bytes);
@@ -194,10 +202,10 @@ static int follow_return(Close *c) {
     if (closing->section == ZL_ZENO) {
         /* Its derivative is that of the contact which it begins. */
         const double *row = close_arc(c, closing->n_arcs);
-        if ((int)row[0] != ZL_LOCKED || row[1] != closing->period) return 0;
+        if ((int)row[0] != ZL_LOCKED || row[1] != closing->period) return ZL_ASKS;
         closing->n_arcs++;
     }
-    return 1;
+    return ZL_CLOSED;
 }
 
 /* A start beside the stop of its flight is met on the stop, before or after. */
@@ -435,15 +443,17 @@ int zl_close(const zl_problem *problem, zl_run *run, const zl_problem *view,
     double size = INFINITY, limit = CLOSE_HALVES, start[ZL_MOST], end[ZL_MOST], change[ZL_MOST];
     const size_t bytes = sizeof start;
     Square inverse;
-    int count;
+    int count, status;
     if (c.n_rows > c.n || zl_begin(view, other, closing->settings, closing->p, closing->start))
-        return 0;
+        return ZL_ASKS;
     c.t = tangent_of(view, tangent, other, &c.track, records);
     prepare_all(&c.t);
     for (count = 0; count < CLOSE_ITERATIONS; count++) {
         double before = size;
         int is_new = count == 0;
-        if (!to_section(&c, closing->start) || !follow_return(&c)) return 0;
+        if (!to_section(&c, closing->start)) return ZL_ASKS;
+        status = follow_return(&c);
+        if (status != ZL_CLOSED) return status;
         if (!is_new) {
             if (before > CLOSE_ROUNDED) improve(&c, start, end, inverse);
             times_missed(&c, inverse, change);
@@ -451,7 +461,7 @@ int zl_close(const zl_problem *problem, zl_run *run, const zl_problem *view,
         }
         if (is_new) {
             if (limit > CLOSE_SHRINKS) before = INFINITY;
-            if (!differentiate(&c) || !invert_closing(&c, inverse)) return 0;
+            if (!differentiate(&c) || !invert_closing(&c, inverse)) return ZL_ASKS;
             limit = CLOSE_SHRINKS;
             times_missed(&c, inverse, change);
         }
@@ -461,12 +471,12 @@ int zl_close(const zl_problem *problem, zl_run *run, const zl_problem *view,
         if (size <= 0.1 * closing->exact) {
             for (count = 0; count < c.n; count++) end[count] -= start[count];
             if (!(largest_part(end, closing->scale, c.n) <= greater(CLOSE_MISSED, 10 * closing->exact)))
-                return 0;
-            return is_new || differentiate(&c);
+                return ZL_ASKS;
+            return is_new || differentiate(&c) ? ZL_CLOSED : ZL_ASKS;
         }
-        if (!(size < before)) return 0;
+        if (!(size < before)) return before > CLOSE_FAR ? ZL_OPEN : ZL_ASKS;
         closing->guess = closing->period;
         go_to(&c, change);
     }
-    return 0;
+    return ZL_ASKS;
 }

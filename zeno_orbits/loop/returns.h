@@ -18,7 +18,13 @@ typedef struct {
     long long n_arcs, n_events;         /* up to the end of the return, or the contact after it */
 } zl_closing;
 
-/* Close the return; 0 if the reference has to do it. `run` carries out the motion of `problem`, and
+enum {
+    ZL_CLOSED, /* it repeats */
+    ZL_OPEN,   /* there is no orbit nearby */
+    ZL_ASKS    /* the reference has to look for it */
+};
+
+/* Close the return. `run` carries out the motion of `problem`, and
    `other` has the formulas of `view`, its only one, of which `tangent` has the derivatives. */
 ZL_EXPORT int zl_close(const zl_problem *problem, zl_run *run, const zl_problem *view,
                        const zl_tangent *tangent, zl_run *other, zl_records *records,

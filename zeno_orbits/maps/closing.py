@@ -14,7 +14,6 @@ from itertools import pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
-from zeno_orbits.errors import SimulationError
 from zeno_orbits.loop import ClosedRecord, binding
 from zeno_orbits.maps.attractors import Attractor, AttractorClass
 from zeno_orbits.model import GraphDynamics
@@ -85,6 +84,10 @@ def orbit_by_loop(
         settings: Accuracy.
         exact: Largest relative correction of the orbit.
         starts: Events at which a period starts, the best first.
+
+    Raises:
+        SimulationError: If there is no orbit nearby.
+        LinAlgError: If the eigenvalues of its return do not converge.
     """
     if not graph.has_one_guard or not starts or mode != _mode_after(graph, section):
         return None
@@ -100,12 +103,10 @@ def orbit_by_loop(
         return None
     chart = kept_section(graph, found.end, mode, found.scale)
     slope = chart.components(found.by_state @ chart.lift)
-    try:
-        off = chart.components(found.end - found.start)
-        change = chart.lift @ (inverse_where_moved(np.eye(len(slope)) - slope) @ off)
-        multipliers = eigenvalues(slope)[: _least_dimension(graph, found, events, names)]
-    except (SimulationError, np.linalg.LinAlgError):
-        return None
+    off = chart.components(found.end - found.start)
+    change = chart.lift @ (inverse_where_moved(np.eye(len(slope)) - slope) @ off)
+    least = min(len(slope), _least_dimension(graph, found, events, names))
+    multipliers = eigenvalues(slope)[:least]
     return ClosedOrbit(
         attractor=_attractor(graph, found, events, multipliers, change, starts),
         n_returns=n_returns,
@@ -147,11 +148,15 @@ def _may_be_shorter(found: ClosedRecord, events: Sequence[Event], names: Sequenc
 def _least_dimension(
     graph: GraphDynamics, found: ClosedRecord, events: Sequence[Event], names: Sequence[str]
 ) -> int:
-    """Return the least dimension of the sections of all events, which bounds the multipliers."""
+    """Return the least dimension of the sections of earlier events, which bounds the multipliers."""
     ends = {names[phase[-1]]: events[phase[-1]] for phase in phases_of_events(names)}
     return min(
-        kept_section(graph, state_after(event), _mode_after(graph, name), found.scale).dimension
-        for name, event in ends.items()
+        (
+            kept_section(graph, state_after(one), _mode_after(graph, name), found.scale).dimension
+            for name, one in ends.items()
+            if name != names[-1]
+        ),
+        default=len(found.start),
     )
 
 

@@ -103,10 +103,10 @@ def orbit_near(
     """
     settings = transient_settings(accuracy.orbit)
     same: Any = {"section": section, "n_returns": n_returns, "settings": settings, "mode": mode}
-    by_loop = orbit_by_loop(graph, x, guess=guess, exact=accuracy.exact, starts=starts, **same)
-    if by_loop is not None:
-        return by_loop
     try:
+        told = orbit_by_loop(graph, x, guess=guess, exact=accuracy.exact, starts=starts, **same)
+        if told is not None:
+            return told
         found = closed_return(graph, x, guess=guess, is_near=True, exact=accuracy.exact, **same)
         found = shortest_return(graph, found, settings)
         multipliers = multipliers_of_return(graph, found)

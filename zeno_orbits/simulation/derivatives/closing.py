@@ -28,6 +28,9 @@ def closed_by_loop(
         n_returns: Number of such events in a period.
         guess: Approximate period [s].
         exact: Largest relative correction of an orbit.
+
+    Raises:
+        SimulationError: If there is no orbit nearby.
     """
     graph, first = task.graph, task.graph.first
     kind, is_plain = section.partition(" ")[0], graph.has_one_guard and bool(graph.stop_names)
