@@ -17,7 +17,7 @@ from zeno_orbits.loop import binding as c
 from zeno_orbits.loop.program import Program, TapedProblem
 from zeno_orbits.loop.tangent import TangentProgram
 
-_STEPS, _POLYNOMIALS, _ARCS, _EVENTS = 2048, 512, 256, 256
+_STEPS, _POLYNOMIALS, _ARCS, _EVENTS = 8192, 2048, 1024, 1024
 """Rows of the records of a return. A longer return is left to the reference."""
 
 
@@ -84,7 +84,7 @@ class _Room:
         self.arcs = np.empty((_ARCS, c.ARC_WIDTH + 2 * n + 2))
         self.events = np.empty((_EVENTS, c.EVENT_WIDTH + 2 * n))
         self.estimates = np.empty((_EVENTS, c.ESTIMATE_WIDTH + 2 * n))
-        self.shifts = np.zeros((1 + _ARCS, 3, 2 + n, width))
+        self.shifts = np.empty((1 + _ARCS, 3, 2 + n, width))
         self.records = c.RecordsType()
         for name in ("steps", "polynomials", "arcs", "events", "estimates"):
             array = getattr(self, name)
@@ -107,8 +107,8 @@ def closed_record(
         closing: The return.
 
     Raises:
-        SimulationError: If there is no orbit: the motion does not return, or it cannot be continued,
-            or a correction of Newton's method is not smaller than the one before.
+        SimulationError: If there is no orbit: the motion does not return, or is interrupted, or a
+            correction of Newton's method is not smaller than the one before.
     """
     n = program.n_x
     place = c.ClosingType(

@@ -12,6 +12,7 @@
 #define CLOSE_ROUNDED 1e-9
 #define CLOSE_MISSED 1e-6
 #define CLOSE_FAR 1e-4
+#define CLOSE_ROUNDING 1e-10
 #define CLOSE_HALVES 0.5
 #define CLOSE_SHRINKS 0.1
 /* As in Python. */
@@ -468,7 +469,8 @@ int zl_close(const zl_problem *problem, zl_run *run, const zl_problem *view,
         size = largest_part(change, closing->scale, c.n);
         memcpy(start, closing->start, bytes);
         memcpy(end, closing->end, bytes);
-        if (size <= 0.1 * closing->exact) {
+        if (size <= 0.1 * closing->exact || (before <= CLOSE_ROUNDING && size <= CLOSE_ROUNDING &&
+                                             !(size < before))) {
             for (count = 0; count < c.n; count++) end[count] -= start[count];
             if (!(largest_part(end, closing->scale, c.n) <= greater(CLOSE_MISSED, 10 * closing->exact)))
                 return ZL_ASKS;

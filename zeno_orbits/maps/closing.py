@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
+from zeno_orbits.errors import SimulationError
 from zeno_orbits.loop import ClosedRecord, binding
 from zeno_orbits.maps.attractors import Attractor, AttractorClass
 from zeno_orbits.model import GraphDynamics
@@ -39,8 +40,8 @@ from zeno_orbits.simulation import (
     state_after,
 )
 
-_END, _ENDING = 2, 5
-"""Columns of an arc's row: time of its end, and the event there."""
+_MODE, _START, _END, _ENDING = 0, 1, 2, 5
+"""Columns of an arc's row: mode, times of its start and end, event at its end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,14 +94,15 @@ def orbit_by_loop(
         return None
     if any(view.restitution == 0.0 for view in graph.open_views):
         return None
-    task = SimulationTask(dynamics=graph, state=x, until=guess, settings=_resolving(settings))
+    one_by_one = _resolving(settings)
+    task = SimulationTask(dynamics=graph, state=x, until=guess, settings=one_by_one)
     closed = closed_by_loop(task, section=section, n_returns=n_returns, guess=guess, exact=exact)
+    if closed is not None and n_returns > 1:
+        closed = _shortest(graph, *closed, one_by_one)
     if closed is None:
         return None
     found, events = closed
     names = [orbit_event_name(event) for event in events]
-    if n_returns > 1 and _may_be_shorter(found, events, names):
-        return None
     chart = kept_section(graph, found.end, mode, found.scale)
     slope = chart.components(found.by_state @ chart.lift)
     off = chart.components(found.end - found.start)
@@ -109,7 +111,7 @@ def orbit_by_loop(
     multipliers = eigenvalues(slope)[:least]
     return ClosedOrbit(
         attractor=_attractor(graph, found, events, multipliers, change, starts),
-        n_returns=n_returns,
+        n_returns=names.count(section),
         chart=replace(chart, centre=found.start + change),
         slope=slope,
     )
@@ -132,23 +134,57 @@ def _mode_after(graph: GraphDynamics, section: str) -> SectionMode:
     )
 
 
-_NEAR = 0.05
-"""Relative distance from the start below which an orbit may close after fewer returns."""
+_NEAR, _APART, _ONE_START = 0.05, 1e-4, 2e-6
+"""Relative distances of starts: below which an orbit may close after fewer returns, beyond which a
+step of Newton's method leads to another orbit, and below which both are one orbit."""
+_EXACT = 3e-13
+"""Relative correction of an orbit over fewer returns."""
 
 
-def _may_be_shorter(found: ClosedRecord, events: Sequence[Event], names: Sequence[str]) -> bool:
-    """Return True if an earlier return of the section is near the start."""
-    marks = [event for event, name in zip(events, names, strict=True) if name == names[-1]]
-    return any(
-        np.max(np.abs(state_after(event) - found.start) / found.scale) < _NEAR
-        for event in marks[:-1]
-    )
+def _shortest(
+    graph: GraphDynamics, found: ClosedRecord, events: list[Event], settings: SimulationSettings
+) -> tuple[ClosedRecord, list[Event]] | None:
+    """Return an orbit over its shortest period, or ``None`` if the reference has to look for it.
+
+    Args:
+        graph: The graph of modes.
+        found: The orbit, over any number of its periods.
+        events: Its events.
+        settings: Accuracy.
+    """
+    section = orbit_event_name(events[-1])
+    marks = [event for event in events if orbit_event_name(event) == section]
+    chart = kept_section(graph, found.end, _mode_after(graph, section), found.scale)
+    for k, event in enumerate(marks[:-1], start=1):
+        if len(marks) % k or not _leads_back(found, chart, event):
+            continue
+        time = event.time
+        task = SimulationTask(dynamics=graph, state=found.start, until=time, settings=settings)
+        try:
+            shorter = closed_by_loop(task, section=section, n_returns=k, guess=time, exact=_EXACT)
+        except SimulationError:
+            continue
+        if shorter is None:
+            return None
+        if np.max(np.abs(shorter[0].start - found.start) / found.scale) < _ONE_START:
+            return shorter
+    return found, events
+
+
+def _leads_back(found: ClosedRecord, chart: Section, event: Event) -> bool:
+    """Return True if a step of Newton's method from an earlier return stays at the start."""
+    away = (state_after(event) - found.start) / found.scale
+    if not np.max(np.abs(away)) < _NEAR:
+        return False
+    slope = chart.components(_after(found, event)[2:] @ chart.lift)
+    moved = np.linalg.lstsq(np.eye(len(slope)) - slope, chart.tangent.T @ away, rcond=None)[0]
+    return not np.max(np.abs(chart.tangent @ moved), initial=0.0) > _APART
 
 
 def _least_dimension(
     graph: GraphDynamics, found: ClosedRecord, events: Sequence[Event], names: Sequence[str]
 ) -> int:
-    """Return the least dimension of the sections of earlier events, which bounds the multipliers."""
+    """Return the least dimension of the sections of earlier events."""
     ends = {names[phase[-1]]: events[phase[-1]] for phase in phases_of_events(names)}
     return min(
         (
@@ -172,13 +208,12 @@ def _attractor(
     names = [orbit_event_name(event) for event in events]
     name = next(one for one in starts if one in names)
     place = max(k for k, one in enumerate(names) if one == name)
-    last = found.shifts[-1, 0 if names[-1].startswith("zeno ") else 2]
     moved = _after(found, events[place])[2:] @ change
     kind = kind_of_events([(one, event.time) for one, event in zip(names, events, strict=True)])
     return Attractor(
         fate=AttractorClass(kind),
         returns=names.count(name),
-        period=found.period + float(last[0] @ change),
+        period=found.period + float(_after(found, events[-1])[0] @ change),
         multipliers=multipliers,
         margins=_margins(graph, found.period, events),
         state=dict(
@@ -189,7 +224,10 @@ def _attractor(
 
 
 def _after(found: ClosedRecord, event: Event) -> Vector:
-    """Return the derivatives after an impact or a release, ``(2 + n_x, n_x)``."""
+    """Return the derivatives after an event, ``(2 + n_x, n_x)``."""
+    if isinstance(event, ZenoPoint):
+        begins = (found.arcs[:, _MODE] == binding.LOCKED) & (found.arcs[:, _START] == event.time)
+        return found.shifts[int(np.flatnonzero(begins)[0]), 0]
     ending = binding.IMPACT if isinstance(event, Impact) else binding.RELEASE
     ends = (found.arcs[:, _END] == event.time) & (found.arcs[:, _ENDING] == ending)
     return found.shifts[int(np.flatnonzero(ends)[0]), 2]

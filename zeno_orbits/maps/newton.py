@@ -48,7 +48,6 @@ from zeno_orbits.simulation import (
     transient_settings,
 )
 
-
 _AT_ONCE = 1e-9
 """Part of the period in which an event belongs to the start."""
 _VANISHED = 0.02

@@ -16,7 +16,7 @@ _KINDS = {"impact": binding.IMPACT, "zeno": binding.ZENO, "release": binding.REL
 def closed_by_loop(
     task: SimulationTask, *, section: str, n_returns: int, guess: float, exact: float
 ) -> tuple[ClosedRecord, list[Event]] | None:
-    """Return the periodic orbit near a start and its events, or ``None`` if the reference has to look for it.
+    """Return the periodic orbit near a start, and its events.
 
     The loop closes returns of machines with one stop, without switches, a clock or constraints. It
     leaves to the reference whatever is unusual: events at one time, conditions or directions that
@@ -28,6 +28,9 @@ def closed_by_loop(
         n_returns: Number of such events in a period.
         guess: Approximate period [s].
         exact: Largest relative correction of an orbit.
+
+    Returns:
+        Its record and events, or ``None`` if the reference has to look for it.
 
     Raises:
         SimulationError: If there is no orbit nearby.
