@@ -8,20 +8,17 @@
 #define CLOSE_LONGEST 4.0
 #define CLOSE_AT_ONCE 1e-9
 #define CLOSE_NOTHING 1e-12
-#define CLOSE_DECAYED 1e-6
+#define CLOSE_LONG 0.5
 #define CLOSE_ROUNDED 1e-9
 #define CLOSE_MISSED 1e-6
 #define CLOSE_FAR 1e-4
 #define CLOSE_ROUNDING 1e-10
-#define CLOSE_HALVES 0.5
 #define CLOSE_SHRINKS 0.1
 /* As in Python. */
 #define CLOSE_CLEAR 1e-7
 /* Part of its size that a row or a pivot keeps beside the others. The reference treats less. */
 #define CLOSE_EXACT 4e-16
 #define CLOSE_ON 1e-9
-
-enum { CLOSE_ROWS = 3 };
 
 typedef struct {
     const zl_problem *problem, *view;
@@ -60,72 +57,58 @@ static double made_orthogonal(Square basis, int count, int n, double *direction,
     return sqrt(square);
 }
 
-/* Gradients of the conditions at a state as lower times orthonormal rows, by states of given sizes;
-   0 if they are not clearly independent. */
-static int conditions_rows(const Close *c, const double *x, const double *sizes, Square basis,
-                           double lower[CLOSE_ROWS][ZL_MOST]) {
-    const int which[CLOSE_ROWS] = {C_GAP, C_RATE, C_MULTIPLIER};
-    const double *slopes = slopes_at(&c->t, ZL_CONTACT_SLOPES, x);
+/* Write rows as lower times orthonormal rows; 0 if they are not clearly independent. */
+static int triangular(Square rows, int count, int n, Square lower) {
     int k, i;
-    for (k = 0; k < c->n_rows; k++) {
-        double square = 0.0, length;
-        for (i = 0; i < c->n; i++) {
-            basis[k][i] = slopes[i * C_ROWS + which[k]] * sizes[i];
-            square += basis[k][i] * basis[k][i];
-        }
-        length = made_orthogonal(basis, k, c->n, basis[k], lower[k]);
-        if (!(length > CLOSE_CLEAR * sqrt(square)) || isinf(length)) return 0;
-        lower[k][k] = length;
-        for (i = 0; i < c->n; i++) basis[k][i] /= length;
+    for (k = 0; k < count; k++) {
+        double square = 0.0;
+        for (i = 0; i < n; i++) square += rows[k][i] * rows[k][i];
+        lower[k][k] = made_orthogonal(rows, k, n, rows[k], lower[k]);
+        if (!(lower[k][k] > CLOSE_CLEAR * sqrt(square)) || isinf(square)) return 0;
+        for (i = 0; i < n; i++) rows[k][i] /= lower[k][k];
     }
     return 1;
 }
 
-/* Complete rows to a basis by the unit vectors that they leave longest. */
-static void complete_basis(Square basis, int count, int n) {
+/* The shortest solution of equations with such rows. */
+static void shortest(Square rows, Square lower, int count, int n, const double *values, double *x) {
     double parts[ZL_MOST];
-    int k, i, j;
-    for (k = count; k < n; k++) {
-        double best = -1.0, length;
-        int chosen = 0;
-        for (i = 0; i < n; i++) {
-            double left = 1.0;
-            for (j = 0; j < k; j++) left -= basis[j][i] * basis[j][i];
-            if (left > best) {
-                best = left;
-                chosen = i;
-            }
-        }
-        for (i = 0; i < n; i++) basis[k][i] = i == chosen;
-        length = made_orthogonal(basis, k, n, basis[k], parts);
-        for (i = 0; i < n; i++) basis[k][i] /= length;
+    int k, i;
+    for (i = 0; i < n; i++) x[i] = 0.0;
+    for (k = 0; k < count; k++) {
+        parts[k] = values[k];
+        for (i = 0; i < k; i++) parts[k] -= lower[k][i] * parts[i];
+        parts[k] /= lower[k][k];
+        for (i = 0; i < n; i++) x[i] += rows[k][i] * parts[k];
     }
+}
+
+/* Gradients of the conditions of the section at a state, by states of given sizes. */
+static int conditions_rows(const Close *c, const double *x, const double *sizes, Square rows,
+                           Square lower) {
+    const int which[] = {C_GAP, C_RATE, C_MULTIPLIER};
+    const double *slopes = slopes_at(&c->t, ZL_CONTACT_SLOPES, x);
+    int k, i;
+    for (k = 0; k < c->n_rows; k++)
+        for (i = 0; i < c->n; i++) rows[k][i] = slopes[i * C_ROWS + which[k]] * sizes[i];
+    return triangular(rows, c->n_rows, c->n, lower);
 }
 
 /* Move a state to the release nearby, in states of the problem's sizes; 0 if there is none. */
 static int to_release(const Close *c, double *x) {
     const double *sizes = c->closing->sizes;
-    double lower[CLOSE_ROWS][ZL_MOST], values[CLOSE_ROWS + 1], parts[CLOSE_ROWS];
-    double largest = INFINITY;
-    Square basis;
-    int count, k, i;
+    double values[4], change[ZL_MOST], largest = INFINITY;
+    Square rows, lower;
+    int count, i;
     for (count = 0; count < CLOSE_CORRECTIONS && largest > CLOSE_EXACT; count++) {
-        if (!conditions_rows(c, x, sizes, basis, lower)) return 0;
+        if (!conditions_rows(c, x, sizes, rows, lower)) return 0;
         evaluate_at(&c->t.m, ZL_GAP, x, values);
         evaluate_at(&c->t.m, ZL_GUARD + ZL_LOCKED, x, values + 2);
-        for (k = 0; k < c->n_rows; k++) {
-            parts[k] = values[k];
-            for (i = 0; i < k; i++) parts[k] -= lower[k][i] * parts[i];
-            parts[k] /= lower[k][k];
-        }
-        largest = 0.0;
-        for (i = 0; i < c->n; i++) {
-            double change = 0.0;
-            for (k = 0; k < c->n_rows; k++) change += basis[k][i] * parts[k];
-            x[i] -= sizes[i] * change;
-            if (!(fabs(change) <= largest)) largest = fabs(change);
-            if (isnan(change)) return 0;
-        }
+        shortest(rows, lower, c->n_rows, c->n, values, change);
+        for (i = 0; i < c->n; i++) change[i] *= sizes[i];
+        for (i = 0; i < c->n; i++) x[i] -= change[i];
+        largest = largest_part(change, sizes, c->n);
+        if (isnan(largest)) return 0;
     }
     return largest <= CLOSE_ON;
 }
@@ -149,9 +132,8 @@ static int motion_returns(Close *c, double until) {
     settings.until = until;
     if (zl_begin(c->problem, c->run, &settings, closing->p, closing->start)) return ZL_ASKS;
     status = zl_resume(c->problem, c->run, c->records);
-    if (status == ZL_FULL || status == ZL_ESTIMATES || status == ZL_CURVE || status == ZL_MODE)
-        return ZL_ASKS;
-    if (status != ZL_DONE) return ZL_OPEN;
+    if (status > ZL_CURVE && status != ZL_MODE) return ZL_OPEN;
+    if (status != ZL_DONE) return ZL_ASKS;
     /* A start in contact is moved to its release. */
     if (!c->records->n_arcs || (c->records->n_events && close_event(c, 0)[0] == ZL_RELEASE))
         return ZL_ASKS;
@@ -171,10 +153,10 @@ static int is_plain(const Close *c) {
     const zl_closing *closing = c->closing;
     const long long last = closing->n_events - 1;
     const double *first = close_arc(c, 0);
-    if ((int)first[0] != modes[closing->section]) return 0;
-    if (closing->section == ZL_IMPACT && first[12] != 0.0) return 0;
-    if (close_event(c, 0)[1] <= CLOSE_AT_ONCE * closing->period) return 0;
-    if (last > 0 && close_event(c, last - 1)[1] == closing->period) return 0;
+    if ((int)first[0] != modes[closing->section] || first[12] != 0.0 ||
+        close_event(c, 0)[1] <= CLOSE_AT_ONCE * closing->period ||
+        (last > 0 && close_event(c, last - 1)[1] == closing->period))
+        return 0;
     return last + 1 == c->records->n_events || close_event(c, last + 1)[1] != closing->period;
 }
 
@@ -209,26 +191,6 @@ static int follow_return(Close *c) {
     return ZL_CLOSED;
 }
 
-/* A start beside the stop of its flight is met on the stop, before or after. */
-static void leave_stop(const Close *c, double *shift) {
-    const Tangent *t = &c->t;
-    const double *x = c->closing->start, unit = close_arc(c, 0)[3];
-    const double *slopes = slopes_at(t, ZL_CONTACT_SLOPES, x);
-    double gap[2], rate[ZL_MOST], delay[2 * ZL_MOST], fall = 0.0;
-    int i;
-    evaluate_at(&t->m, ZL_GAP, x, gap);
-    if (gap[1] >= unit / 2) {
-        evaluate_at(&t->m, ZL_RATE + ZL_FREE, x, rate);
-        for (i = 0; i < c->n; i++) fall += slopes[i * C_ROWS + C_GAP] * rate[i];
-        total(t, slopes, C_ROWS, C_GAP, shift + T_STATE * t->width, delay);
-        for (i = 0; i < t->width; i++) delay[i] /= -fall;
-        add_row(shift + T_TIME * t->width, delay, 1.0, t->width);
-        for (i = 0; i < c->n; i++)
-            add_row(shift + (T_STATE + i) * t->width, delay, rate[i], t->width);
-    }
-    total(t, slopes, C_ROWS, C_RATE, shift + T_STATE * t->width, shift + T_RATE * t->width);
-}
-
 /* Follow the arcs up to a release or the end, from one on; returns the next arc, 0 without it. */
 static long long follow_arcs(Close *c, long long arc, long long *event) {
     const long long n_arcs = c->closing->n_arcs;
@@ -251,22 +213,6 @@ static long long follow_arcs(Close *c, long long arc, long long *event) {
     return found == end - arc ? end : 0;
 }
 
-/* A start off the stop that it leaves is moved onto it: apply that to the derivative of the end. */
-static void onto_stop(const Close *c) {
-    const double *slopes = slopes_at(&c->t, ZL_CONTACT_SLOPES, c->closing->start);
-    double normal[ZL_MOST], square = 0.0;
-    int i, k;
-    for (k = 0; k < c->n; k++) {
-        normal[k] = slopes[k * C_ROWS + C_GAP] * c->closing->scale[k];
-        square += normal[k] * normal[k];
-    }
-    for (i = 0; i < c->n; i++) {
-        double *row = c->closing->by_state + i * c->n, along = 0.0;
-        for (k = 0; k < c->n; k++) along += row[k] * c->closing->scale[k] * normal[k] / square;
-        for (k = 0; k < c->n; k++) row[k] -= along * slopes[k * C_ROWS + C_GAP];
-    }
-}
-
 /* The derivative of the return; 0 if an arc has none. */
 static int differentiate(Close *c) {
     zl_closing *closing = c->closing;
@@ -280,7 +226,10 @@ static int differentiate(Close *c) {
     int i, k;
     clear_rows(start, size);
     for (i = 0; i < c->n; i++) start[(T_STATE + i) * t->width + i] = 1.0;
-    if (closing->section == ZL_IMPACT) leave_stop(c, start);
+    /* Only starts on the stop count. After an impact they leave it with rates of their own. */
+    if (closing->section == ZL_IMPACT)
+        total(t, slopes_at(t, ZL_CONTACT_SLOPES, closing->start), C_ROWS, C_RATE,
+              start + T_STATE * t->width, start + T_RATE * t->width);
     /* Of the contact after the return only the start is asked. */
     if (at_zeno) contact[5] = ZL_ZENO;
     for (arc = 0, step = 1; step && arc < closing->n_arcs; arc = step)
@@ -294,78 +243,39 @@ static int differentiate(Close *c) {
             if (!isfinite(slope)) return 0;
             closing->by_state[i * c->n + k] = slope;
         }
-    if (closing->section == ZL_IMPACT) onto_stop(c);
-    return 1;
-}
-
-/* Invert a matrix in place; 0 if a pivot nearly vanishes. */
-static int inverted(Square a, int n) {
-    Square inverse;
-    double largest = 0.0;
-    int i, j, k;
-    for (i = 0; i < n; i++)
-        for (j = 0; j < n; j++) {
-            inverse[i][j] = i == j;
-            largest = greater(largest, fabs(a[i][j]));
-        }
-    for (k = 0; k < n; k++) {
-        int pivot = k;
-        for (i = k + 1; i < n; i++)
-            if (fabs(a[i][k]) > fabs(a[pivot][k])) pivot = i;
-        if (!(fabs(a[pivot][k]) > CLOSE_CLEAR * greater(largest, 1.0))) return 0;
-        for (j = 0; j < n; j++) {
-            const double kept = a[k][j], other = inverse[k][j];
-            a[k][j] = a[pivot][j];
-            a[pivot][j] = kept;
-            inverse[k][j] = inverse[pivot][j];
-            inverse[pivot][j] = other;
-        }
-        for (i = 0; i < n; i++) {
-            const double factor = a[i][k] / a[k][k];
-            if (i == k) continue;
-            for (j = 0; j < n; j++) {
-                a[i][j] -= factor * a[k][j];
-                inverse[i][j] -= factor * inverse[k][j];
-            }
-        }
-    }
-    for (i = 0; i < n; i++) {
-        const double pivot = a[i][i];
-        for (j = 0; j < n; j++) a[i][j] = inverse[i][j] / pivot;
-    }
     return 1;
 }
 
 /* The inverse of the identity minus the derivative, on admissible changes of the start:
    `inverse_of_closing`. */
 static int invert_closing(const Close *c, Square inverse) {
-    const zl_closing *closing = c->closing;
-    const double *scale = closing->scale;
-    double lower[CLOSE_ROWS][ZL_MOST];
-    Square basis, inner;
-    const int d = c->n - c->n_rows;
-    int i, j, k, l;
-    if (!conditions_rows(c, closing->start, scale, basis, lower)) return 0;
-    complete_basis(basis, c->n_rows, c->n);
-    for (k = 0; k < d; k++)
-        for (l = 0; l < d; l++) {
-            const double *left = basis[c->n_rows + k], *right = basis[c->n_rows + l];
-            inner[k][l] = 0.0;
-            for (i = 0; i < c->n; i++)
-                for (j = 0; j < c->n; j++) {
-                    const double entry = (i == j) - closing->by_state[i * c->n + j];
-                    inner[k][l] += left[i] * entry * scale[j] / scale[i] * right[j];
-                }
-        }
-    if (!inverted(inner, d)) return 0;
-    for (i = 0; i < c->n; i++)
-        for (j = 0; j < c->n; j++) {
-            double entry = 0.0;
-            for (k = 0; k < d; k++)
-                for (l = 0; l < d; l++)
-                    entry += basis[c->n_rows + k][i] * inner[k][l] * basis[c->n_rows + l][j];
-            inverse[i][j] = entry * scale[i] / scale[j];
-        }
+    const double *scale = c->closing->scale;
+    Square rows, matrix, lower;
+    double column[ZL_MOST], found[ZL_MOST], parts[ZL_MOST];
+    const int n = c->n;
+    int i, j, k;
+    if (!conditions_rows(c, c->closing->start, scale, rows, lower)) return 0;
+    for (i = 0; i < n; i++) {
+        for (j = 0; j < n; j++)
+            matrix[i][j] = ((i == j) - c->closing->by_state[i * n + j]) * scale[j] / scale[i];
+        made_orthogonal(rows, c->n_rows, n, matrix[i], parts);
+    }
+    /* Across the section it is the identity. */
+    for (j = 0; j < n; j++) {
+        for (i = 0; i < n; i++) column[i] = matrix[i][j];
+        made_orthogonal(rows, c->n_rows, n, column, parts);
+        for (i = 0; i < n; i++)
+            for (matrix[i][j] = column[i], k = 0; k < c->n_rows; k++)
+                matrix[i][j] += rows[k][i] * rows[k][j];
+    }
+    if (!triangular(matrix, n, n, lower)) return 0;
+    for (j = 0; j < n; j++) {
+        if (!(lower[j][j] > CLOSE_CLEAR)) return 0;
+        for (i = 0; i < n; i++) column[i] = i == j;
+        made_orthogonal(rows, c->n_rows, n, column, parts);
+        shortest(matrix, lower, n, n, column, found);
+        for (i = 0; i < n; i++) inverse[i][j] = found[i] * scale[i] / scale[j];
+    }
     return 1;
 }
 
@@ -400,51 +310,20 @@ static void times_missed(const Close *c, Square inverse, double *change) {
     }
 }
 
-/* Go on by a correction, which is shortened if a state leaps. */
-static void go_to(const Close *c, const double *change) {
-    zl_closing *closing = c->closing;
-    double unit[ZL_MOST], shares = 0.0, leap;
-    int i;
-    for (i = 0; i < c->n; i++) shares = greater(shares, closing->scale[i] / closing->sizes[i]);
-    if (shares == 0.0) shares = 1.0;
-    for (i = 0; i < c->n; i++) {
-        const double share = closing->scale[i] / closing->sizes[i];
-        unit[i] = (share > CLOSE_DECAYED * shares ? share : shares) * closing->sizes[i];
-    }
-    leap = largest_part(change, unit, c->n);
-    for (i = 0; i < c->n; i++)
-        closing->start[i] += leap > 0.5 ? change[i] * (0.5 / leap) : change[i];
-}
-
-static Close close_of(const zl_problem *problem, zl_run *run, const zl_problem *view,
-                      const zl_tangent *tangent, zl_run *other, zl_records *records,
-                      zl_closing *closing) {
-    Close c;
-    memset(&c, 0, sizeof c);
-    c.problem = problem;
-    c.view = view;
-    c.tangent = tangent;
-    c.run = run;
-    c.other = other;
-    c.records = records;
-    c.closing = closing;
-    c.n = (int)problem->n_x;
+int zl_close(const zl_problem *problem, zl_run *run, const zl_problem *view,
+             const zl_tangent *tangent, zl_run *other, zl_records *records, zl_closing *closing) {
+    Close c = {.problem = problem, .view = view, .tangent = tangent, .run = run, .other = other,
+               .records = records, .closing = closing, .n = (int)problem->n_x};
+    double size = INFINITY, limit = CLOSE_LONG, start[ZL_MOST], end[ZL_MOST], change[ZL_MOST];
+    const size_t bytes = sizeof start;
+    Square inverse;
+    int count, status, i;
     c.n_rows = closing->section == ZL_RELEASE ? 3 : closing->section == ZL_ZENO ? 2 : 1;
     c.track.steps = records->steps;
     c.track.polynomials = records->polynomials;
     c.track.trusted = closing->trusted;
     c.track.estimates = records->estimates;
     c.track.work = closing->work;
-    return c;
-}
-
-int zl_close(const zl_problem *problem, zl_run *run, const zl_problem *view,
-             const zl_tangent *tangent, zl_run *other, zl_records *records, zl_closing *closing) {
-    Close c = close_of(problem, run, view, tangent, other, records, closing);
-    double size = INFINITY, limit = CLOSE_HALVES, start[ZL_MOST], end[ZL_MOST], change[ZL_MOST];
-    const size_t bytes = sizeof start;
-    Square inverse;
-    int count, status;
     if (c.n_rows > c.n || zl_begin(view, other, closing->settings, closing->p, closing->start))
         return ZL_ASKS;
     c.t = tangent_of(view, tangent, other, &c.track, records);
@@ -471,14 +350,16 @@ int zl_close(const zl_problem *problem, zl_run *run, const zl_problem *view,
         memcpy(end, closing->end, bytes);
         if (size <= 0.1 * closing->exact || (before <= CLOSE_ROUNDING && size <= CLOSE_ROUNDING &&
                                              !(size < before))) {
-            for (count = 0; count < c.n; count++) end[count] -= start[count];
+            for (i = 0; i < c.n; i++) end[i] -= start[i];
             if (!(largest_part(end, closing->scale, c.n) <= greater(CLOSE_MISSED, 10 * closing->exact)))
                 return ZL_ASKS;
             return is_new || differentiate(&c) ? ZL_CLOSED : ZL_ASKS;
         }
         if (!(size < before)) return before > CLOSE_FAR ? ZL_OPEN : ZL_ASKS;
+        /* The reference shortens a long step. */
+        if (size > CLOSE_LONG) return ZL_ASKS;
         closing->guess = closing->period;
-        go_to(&c, change);
+        for (i = 0; i < c.n; i++) closing->start[i] += change[i];
     }
     return ZL_ASKS;
 }
