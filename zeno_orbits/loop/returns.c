@@ -9,16 +9,16 @@
 #define CLOSE_AT_ONCE 1e-9
 #define CLOSE_NOTHING 1e-12
 #define CLOSE_LONG 0.5
+#define CLOSE_DECAYED 1e-6
 #define CLOSE_ROUNDED 1e-9
 #define CLOSE_MISSED 1e-6
 #define CLOSE_FAR 1e-4
 #define CLOSE_ROUNDING 1e-10
 #define CLOSE_SHRINKS 0.1
-/* As in Python. */
-#define CLOSE_CLEAR 1e-7
-/* Part of its size that a row or a pivot keeps beside the others. The reference treats less. */
 #define CLOSE_EXACT 4e-16
 #define CLOSE_ON 1e-9
+/* As in Python, but for the part of its size that a row or a pivot keeps beside the others. */
+#define CLOSE_CLEAR 1e-7
 
 typedef struct {
     const zl_problem *problem, *view;
@@ -135,7 +135,8 @@ static int motion_returns(Close *c, double until) {
     if (status > ZL_CURVE && status != ZL_MODE) return ZL_OPEN;
     if (status != ZL_DONE) return ZL_ASKS;
     /* A start in contact is moved to its release. */
-    if (!c->records->n_arcs || (c->records->n_events && close_event(c, 0)[0] == ZL_RELEASE))
+    if (!c->records->n_arcs || (closing->section == ZL_RELEASE && c->records->n_events &&
+                               close_event(c, 0)[0] == ZL_RELEASE))
         return ZL_ASKS;
     for (k = 0; k < c->records->n_events && count < closing->n_returns; k++) {
         const double *event = close_event(c, k);
@@ -149,11 +150,13 @@ static int motion_returns(Close *c, double until) {
 
 /* Whether the return has one event at a time and begins as its section does. */
 static int is_plain(const Close *c) {
-    const int modes[] = {ZL_FLIGHT, ZL_LOCKED, ZL_FREE}; /* after an impact, a Zeno point, a release */
+    /* After an impact, a Zeno point, a release. */
+    const int modes[] = {ZL_FLIGHT, ZL_LOCKED, ZL_FREE};
     const zl_closing *closing = c->closing;
     const long long last = closing->n_events - 1;
     const double *first = close_arc(c, 0);
-    if ((int)first[0] != modes[closing->section] || first[12] != 0.0 ||
+    if ((int)first[0] != modes[closing->section] ||
+        (closing->section == ZL_IMPACT && first[12] != 0.0) ||
         close_event(c, 0)[1] <= CLOSE_AT_ONCE * closing->period ||
         (last > 0 && close_event(c, last - 1)[1] == closing->period))
         return 0;
@@ -303,18 +306,17 @@ static void improve(const Close *c, const double *start, const double *end, Squa
 
 static void times_missed(const Close *c, Square inverse, double *change) {
     int i, j;
-    for (i = 0; i < c->n; i++) {
-        change[i] = 0.0;
-        for (j = 0; j < c->n; j++)
+    for (i = 0; i < c->n; i++)
+        for (change[i] = 0.0, j = 0; j < c->n; j++)
             change[i] += inverse[i][j] * (c->closing->end[j] - c->closing->start[j]);
-    }
 }
 
 int zl_close(const zl_problem *problem, zl_run *run, const zl_problem *view,
              const zl_tangent *tangent, zl_run *other, zl_records *records, zl_closing *closing) {
     Close c = {.problem = problem, .view = view, .tangent = tangent, .run = run, .other = other,
                .records = records, .closing = closing, .n = (int)problem->n_x};
-    double size = INFINITY, limit = CLOSE_LONG, start[ZL_MOST], end[ZL_MOST], change[ZL_MOST];
+    double size = INFINITY, limit = CLOSE_LONG, least;
+    double start[ZL_MOST], end[ZL_MOST], change[ZL_MOST];
     const size_t bytes = sizeof start;
     Square inverse;
     int count, status, i;
@@ -351,15 +353,20 @@ int zl_close(const zl_problem *problem, zl_run *run, const zl_problem *view,
         if (size <= 0.1 * closing->exact || (before <= CLOSE_ROUNDING && size <= CLOSE_ROUNDING &&
                                              !(size < before))) {
             for (i = 0; i < c.n; i++) end[i] -= start[i];
-            if (!(largest_part(end, closing->scale, c.n) <= greater(CLOSE_MISSED, 10 * closing->exact)))
+            if (!(largest_part(end, closing->scale, c.n) <=
+                  greater(CLOSE_MISSED, 10 * closing->exact)))
                 return ZL_ASKS;
             return is_new || differentiate(&c) ? ZL_CLOSED : ZL_ASKS;
         }
         if (!(size < before)) return before > CLOSE_FAR ? ZL_OPEN : ZL_ASKS;
-        /* The reference shortens a long step. */
-        if (size > CLOSE_LONG) return ZL_ASKS;
         closing->guess = closing->period;
-        for (i = 0; i < c.n; i++) closing->start[i] += change[i];
+        least = largest_part(closing->scale, closing->sizes, c.n) * CLOSE_DECAYED;
+        for (i = 0; i < c.n; i++) {
+            /* The reference measures a state that has decayed otherwise. */
+            if (size > CLOSE_LONG && !(closing->scale[i] > least * closing->sizes[i]))
+                return ZL_ASKS;
+            closing->start[i] += size > CLOSE_LONG ? change[i] * (CLOSE_LONG / size) : change[i];
+        }
     }
     return ZL_ASKS;
 }
