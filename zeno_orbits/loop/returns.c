@@ -1,6 +1,5 @@
-/* Newton's method of a return, as `closed_return` in Python has it, where nothing is unusual: one
-   stop, one event at a time, conditions and directions that are clearly independent. Anything else
-   is left to the reference, which decides from the start. */
+/* Newton's method of a return, as `closed_return` in Python has it, with one stop, one event at a time
+   and clearly independent directions. Anything else is left to the reference. */
 
 #define CLOSE_ITERATIONS 30
 #define CLOSE_CORRECTIONS 20
@@ -314,18 +313,15 @@ static void times_missed(const Close *c, Square inverse, double *change) {
 int zl_close(const zl_problem *problem, zl_run *run, const zl_problem *view,
              const zl_tangent *tangent, zl_run *other, zl_records *records, zl_closing *closing) {
     Close c = {.problem = problem, .view = view, .tangent = tangent, .run = run, .other = other,
-               .records = records, .closing = closing, .n = (int)problem->n_x};
+               .records = records, .closing = closing, .n = (int)problem->n_x,
+               .track = {.steps = records->steps, .polynomials = records->polynomials,
+                         .trusted = closing->trusted, .estimates = records->estimates,
+                         .work = closing->work}};
     double size = INFINITY, limit = CLOSE_LONG, least;
     double start[ZL_MOST], end[ZL_MOST], change[ZL_MOST];
-    const size_t bytes = sizeof start;
     Square inverse;
     int count, status, i;
     c.n_rows = closing->section == ZL_RELEASE ? 3 : closing->section == ZL_ZENO ? 2 : 1;
-    c.track.steps = records->steps;
-    c.track.polynomials = records->polynomials;
-    c.track.trusted = closing->trusted;
-    c.track.estimates = records->estimates;
-    c.track.work = closing->work;
     if (c.n_rows > c.n || zl_begin(view, other, closing->settings, closing->p, closing->start))
         return ZL_ASKS;
     c.t = tangent_of(view, tangent, other, &c.track, records);
@@ -348,8 +344,8 @@ int zl_close(const zl_problem *problem, zl_run *run, const zl_problem *view,
             times_missed(&c, inverse, change);
         }
         size = largest_part(change, closing->scale, c.n);
-        memcpy(start, closing->start, bytes);
-        memcpy(end, closing->end, bytes);
+        memcpy(start, closing->start, sizeof start);
+        memcpy(end, closing->end, sizeof end);
         if (size <= 0.1 * closing->exact || (before <= CLOSE_ROUNDING && size <= CLOSE_ROUNDING &&
                                              !(size < before))) {
             for (i = 0; i < c.n; i++) end[i] -= start[i];
