@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +12,13 @@ from scipy.optimize import brentq
 
 from tests.loop.agreement import needs_compiler
 from tests.support import antidamped_spring as spring
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.loop import ClosedRecord
-from zeno_orbits.maps import Attractor, attractors_at, newton
+from zeno_orbits.maps import Accuracy, Attractor, attractors_at, newton
+from zeno_orbits.maps.closing import ClosedOrbit
 from zeno_orbits.model import GraphDynamics, Problem, load_problem
-from zeno_orbits.orbits import closed_return, extrapolated, near_return
+from zeno_orbits.orbits import SectionMode, closed_return, extrapolated, near_return
 from zeno_orbits.simulation import SimulationTask, closed_by_loop, simulate, transient_settings
 
 pytestmark = needs_compiler
@@ -27,12 +30,11 @@ ERROR = 1e-8
 
 
 def closed(
-    graph: GraphDynamics, x: np.ndarray, section: str, n_returns: int, guess: float
+    graph: GraphDynamics, x: Vector, section: str, n_returns: int, guess: float
 ) -> ClosedRecord | None:
     """Return the orbit near a start by the loop."""
     task = SimulationTask(dynamics=graph, state=x, until=guess, settings=SETTINGS)
-    same = {"section": section, "n_returns": n_returns}
-    found = closed_by_loop(task, **same, guess=guess, exact=1e-9)
+    found = closed_by_loop(task, section=section, n_returns=n_returns, guess=guess, exact=1e-9)
     return None if found is None else found[0]
 
 
@@ -63,9 +65,7 @@ def test_an_orbit_of_one_impact_has_its_closed_form_also_if_it_repels(
     assert found.by_state[1, 1] == pytest.approx(e**2 * math.exp(2 * a * period), rel=100 * ERROR)
 
 
-def settled(
-    problem: Problem, section: str, until: float
-) -> tuple[GraphDynamics, np.ndarray, float]:
+def settled(problem: Problem, section: str, until: float) -> tuple[GraphDynamics, Vector, float]:
     """Return a state of a section near the orbit of a motion, and about the period."""
     graph = problem.graph_dynamics(problem.values())
     start = np.array(problem.state_vector(problem.starts[0]))
@@ -86,8 +86,16 @@ def settled(
 def test_the_loop_and_the_reference_close_one_return(name: str, section: str, until: float) -> None:
     graph, x, period = settled(load_problem(name), section, until)
     found = closed(graph, x, section, 1, period)
-    same = {"section": section, "n_returns": 1, "guess": period, "settings": SETTINGS}
-    other = closed_return(graph, x, **same, is_near=True, exact=1e-9)
+    other = closed_return(
+        graph,
+        x,
+        section=section,
+        n_returns=1,
+        guess=period,
+        settings=SETTINGS,
+        is_near=True,
+        exact=1e-9,
+    )
     assert found is not None
     assert found.start == pytest.approx(other.start, rel=ERROR, abs=ERROR)
     assert found.end == pytest.approx(other.end, rel=ERROR, abs=ERROR)
@@ -130,6 +138,10 @@ def points_by(problem: Problem, values: list[dict[str, float]]) -> tuple[Attract
     return attractors_at(problem, settings)
 
 
+def by_reference(*_: Any, **__: Any) -> None:
+    """Leave an orbit to the reference."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "values"),
@@ -145,15 +157,15 @@ def test_a_map_is_the_same_on_both_roads(
     told = list[bool]()
     by_loop = newton.orbit_by_loop
 
-    def counted(*arguments: object, **named: object) -> object:
-        found = by_loop(*arguments, **named)  # pyright: ignore[reportArgumentType]
+    def counted(*arguments: Any, **named: Any) -> ClosedOrbit | None:
+        found = by_loop(*arguments, **named)
         told.append(found is not None)
         return found
 
     monkeypatch.setattr(newton, "orbit_by_loop", counted)
     fast = points_by(problem, values)
     assert any(told)
-    monkeypatch.setattr(newton, "orbit_by_loop", lambda *_, **__: None)
+    monkeypatch.setattr(newton, "orbit_by_loop", by_reference)
     for one, other in zip(fast, points_by(problem, values), strict=True):
         assert (one.fate, one.returns, one.sequence) == (other.fate, other.returns, other.sequence)
         assert one.period == pytest.approx(other.period, rel=1e-11, nan_ok=True)
@@ -171,8 +183,8 @@ def test_a_period_is_the_shortest_one() -> None:
     assert once is not None
     assert twice is not None
     assert twice.period == pytest.approx(2 * once.period, rel=ERROR)
-    accuracy = newton.Accuracy()
-    mode = newton.SectionMode(closed=(), sides=(), stop="", released="stop")
+    accuracy = Accuracy()
+    mode = SectionMode(closed=(), sides=(), stop="", released="stop")
     near = newton.orbit_near(
         graph,
         x,
