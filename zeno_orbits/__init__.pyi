@@ -77,6 +77,7 @@ from .maps.scatter import Scatter as Scatter
 from .maps.scatter import ScatterSettings as ScatterSettings
 from .model.contact import impact_speed as impact_speed
 from .model.drives.auxiliary import Auxiliary as Auxiliary
+from .model.drives.friction import DryFriction as DryFriction
 from .model.drives.holds import Hold as Hold
 from .model.drives.circuits import Circuit as Circuit
 from .model.drives.circuits import circuit_drive as circuit_drive

@@ -76,6 +76,7 @@ class GraphType(ctypes.Structure):
 
     _fields_ = [
         *((name, _count) for name in ("n_stops", "n_declared", "n_switches", "n_views", "n_sides")),
+        ("n_frictional", _count),
         *((name, _count) for name in ("n_numbers", "switches_place", "delassus_place")),
         *((name, _count) for name in ("orders_place", "first_clock", "end_clock")),
         *((name, TapeType) for name in ("switches", "delassus", "orders")),

@@ -159,6 +159,7 @@ class _Arrays:
         formulas = program.formulas
         counts = (
             *(formulas.n_stops, formulas.n_declared, formulas.n_switches, len(views), len(sides)),
+            formulas.n_frictional,
             program.n_numbers,
             *map(program.place_of, shared),
             *formulas.clock,

@@ -72,27 +72,49 @@ static void shared(const Graph *g, const zl_tape *tape, long long place, const d
     tape_run(tape, numbers_at(g->whole, g->m.run) + place, given, told);
 }
 
+/* The closed stops of the arc that starts. */
+static long long closed_at_start(const Graph *g) {
+    const zl_run *run = g->m.run;
+    return run->graph.rest | (run->start.mode == ZL_LOCKED ? BIT(run->graph.focus) : 0);
+}
+
+/* The sides of the kinks, and with dry friction the closed stops, for the formulas of switches. */
+static void give_sides(const Graph *g, double *given) {
+    const zl_graph *graph = g->whole->graph;
+    const long long n = graph->n_switches - graph->n_declared, closed = closed_at_start(g);
+    long long k;
+    for (k = 0; k < n; k++) given[k] = (double)(g->m.run->graph.sides >> k & 1);
+    if (!graph->n_frictional) return;
+    for (k = 0; k < graph->n_stops; k++) given[n + k] = (double)(closed >> k & 1);
+}
+
 /* The formulas of all switches at a state on the present sides of the kinks, their rounding levels,
-   and `armed`. */
-static void switches_at(const Graph *g, const double *x, double *formulas, double *levels,
-                        double *armed) {
+   `armed`, and with dry friction where they occur without a zero. */
+static void switches_due(const Graph *g, const double *x, double *formulas, double *levels,
+                         double *armed, double *due) {
     const zl_graph *graph = g->whole->graph;
     const long long n_x = g->whole->n_x, n = graph->n_switches;
-    double given[2 * ZL_MOST + ZL_GUARDS], told[3 * ZL_GUARDS];
+    double given[2 * ZL_MOST + ZL_GUARDS + ZL_STOPS], told[4 * ZL_GUARDS];
     long long k;
     if (!n) return;
     for (k = 0; k < n_x; k++) {
         given[k] = x[k];
         given[n_x + k] = settings_of(g, 0)->sizes[k] + fabs(x[k]);
     }
-    for (k = 0; k < n - graph->n_declared; k++)
-        given[2 * n_x + k] = (double)(g->m.run->graph.sides >> k & 1);
+    give_sides(g, given + 2 * n_x);
     shared(g, &graph->switches, graph->switches_place, given, told);
     for (k = 0; k < n; k++) {
         formulas[k] = told[k];
         levels[k] = SWITCH_ZERO * told[n + k];
     }
     if (armed) memcpy(armed, told + 2 * n, (size_t)graph->n_declared * sizeof(double));
+    if (due && graph->n_frictional)
+        memcpy(due, told + 2 * n + graph->n_declared, (size_t)graph->n_declared * sizeof(double));
+}
+
+static void switches_at(const Graph *g, const double *x, double *formulas, double *levels,
+                        double *armed) {
+    switches_due(g, x, formulas, levels, armed, 0);
 }
 
 /* Modes. */
@@ -117,12 +139,6 @@ static void look(Graph *g, long long rest, int focus) {
 }
 
 static int focus_of(const Graph *g) { return (int)g->m.run->graph.focus; }
-
-/* The closed stops of the arc that starts. */
-static long long closed_at_start(const Graph *g) {
-    const zl_run *run = g->m.run;
-    return run->graph.rest | (run->start.mode == ZL_LOCKED ? BIT(run->graph.focus) : 0);
-}
 
 static int is_above(const Graph *g, int k) {
     const Graphed *graph = &g->m.run->graph;
@@ -468,15 +484,14 @@ static int is_one_along(Graph *g, const Other *one, const Other *other, const do
 static int is_one_surface(Graph *g, const Other *one, const Other *other, const double *x) {
     const zl_graph *graph = g->whole->graph;
     const long long n_x = g->whole->n_x, n = graph->n_switches, closed = closed_at_start(g);
-    double given[2 * ZL_MOST + ZL_GUARDS], told[3 * ZL_GUARDS], a[2], b[2];
+    double given[2 * ZL_MOST + ZL_GUARDS + ZL_STOPS], told[4 * ZL_GUARDS], a[2], b[2];
     double largest = 0.0, difference = 0.0;
     long long k;
     tape_run(one->value, one->registers, x, a);
     tape_run(other->value, other->registers, x, b);
     memcpy(given, x, (size_t)n_x * sizeof(double));
     for (k = 0; k < n_x; k++) given[n_x + k] = 0.0;
-    for (k = 0; k < n - graph->n_declared; k++)
-        given[2 * n_x + k] = (double)(g->m.run->graph.sides >> k & 1);
+    give_sides(g, given + 2 * n_x);
     for (k = 0; k < n_x; k++) {
         double first, second;
         /* The clock has one direction, which the rates contain. */
@@ -1011,11 +1026,26 @@ static int occurs_at_once(Graph *g, int k, int *at_once) {
 static int find_due(Graph *g, int *due) {
     const int n = (int)g->whole->graph->n_declared;
     const double *x = g->m.run->start.state;
-    double formulas[ZL_GUARDS], levels[ZL_GUARDS], armed[ZL_GUARDS];
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS], armed[ZL_GUARDS], forced[ZL_GUARDS];
     int k, at_once, status;
     *due = -1;
     if (!n) return GO_ON;
-    switches_at(g, x, formulas, levels, armed);
+    switches_due(g, x, formulas, levels, armed, forced);
+    for (k = n - (int)g->whole->graph->n_frictional; k < n; k++) {
+        const Graphed *graph = &g->m.run->graph;
+        const long long n_before = graph->n_row[k];
+        if (!(forced[k] > 0.0)) continue;
+        if (n_before && graph->row_times[k][n_before - 1] == g->m.run->start.time)
+            return tell(&g->m, ZL_ACCUMULATE, g->m.run->start.time, x, k);
+        *due = k;
+        return GO_ON;
+    }
+    /* The guards of dry friction depend on the closed stops. */
+    for (k = n - (int)g->whole->graph->n_frictional; k < n; k++)
+        if (formulas[k] < -levels[k])
+            g->m.run->graph.above &= ~BIT(k);
+        else
+            g->m.run->graph.above |= BIT(k);
     for (k = 0; k < n; k++) {
         if (!(is_above(g, k) && fabs(formulas[k]) <= levels[k] && armed[k] > 0.0)) continue;
         if (!(guard_rate(g, k, x) < -levels[k] / g->m.run->settings.time)) continue;
@@ -1167,11 +1197,12 @@ static int switched(Graph *g, double time, const double *x, int k, const double 
     const long long closed = closed_at_start(g);
     const int is_kink = k >= table->n_declared, was_above = is_above(g, k);
     const int is_free = run->start.mode == ZL_FREE;
-    double formulas[ZL_GUARDS], levels[ZL_GUARDS], armed[ZL_GUARDS];
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS], armed[ZL_GUARDS], due[ZL_GUARDS];
     int status;
-    if (!is_kink && was_above) {
-        switches_at(g, x, formulas, levels, armed);
-        if (armed[k] > 0.0) {
+    if (!is_kink) {
+        const int is_frictional = k >= table->n_declared - table->n_frictional;
+        switches_due(g, x, formulas, levels, armed, due);
+        if ((was_above && armed[k] > 0.0) || (is_frictional && due[k] > 0.0)) {
             double after[ZL_MOST];
             shared(g, &table->resets[k], table->reset_places[k], x, after);
             graph->flipped = 0;

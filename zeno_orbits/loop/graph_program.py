@@ -32,8 +32,9 @@ class GraphFormulas:
         n_stops: Number of stops.
         n_declared: Number of declared switches.
         n_switches: Number of declared switches and kinks.
+        n_frictional: Number of the last declared switches, those of dry friction.
         switches: ``(x, p, sizes, sides) -> (formulas of all switches, their sizes, formulas
-            `armed`)``.
+            `armed`)``, with dry friction as `CompiledGraph.switches`.
         delassus: ``(x, p) -> J W J^T`` of all stops, by which an impact opens stops.
         resets: ``(x, p) -> x`` after each declared switch.
         causes: For each declared switch the event of a stop that causes it, as kind and index of
@@ -48,6 +49,7 @@ class GraphFormulas:
     n_stops: int
     n_declared: int
     n_switches: int
+    n_frictional: int
     switches: ca.Function
     delassus: ca.Function
     resets: Sequence[ca.Function]
@@ -220,6 +222,7 @@ class GraphProgram(TapedProblem):
             n_switches=self.formulas.n_switches,
             n_views=len(self.views),
             n_sides=len(self.sides),
+            n_frictional=self.formulas.n_frictional,
             n_numbers=self._n_numbers,
             switches_place=self._places[id(self.switches)],
             delassus_place=self._places[id(self.delassus)],

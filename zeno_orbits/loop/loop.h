@@ -79,10 +79,12 @@ typedef struct {
    incomplete: a run then asks for what it needs. */
 struct zl_graph {
     long long n_stops, n_declared, n_switches, n_views, n_sides;
+    long long n_frictional;                   /* the last declared switches: those of dry friction */
     long long n_numbers;                      /* of a run, apart from its settings and parameters */
     long long switches_place, delassus_place, orders_place;
     long long first_clock, end_clock;         /* the states of the clock */
-    /* Of a state, the sizes of its entries and the sides of kinks: formulas, their sizes, `armed`. */
+    /* Of a state, the sizes of its entries and the sides of kinks: formulas, their sizes, `armed`. With
+       dry friction also of the closed stops, and where declared switches occur without a zero. */
     zl_tape switches;
     zl_tape delassus; /* J W J' of all stops */
     zl_tape orders;   /* of switching times: lower, upper, and least upper times */

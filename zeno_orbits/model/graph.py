@@ -20,12 +20,13 @@ from typing import Any
 import casadi as ca
 
 from zeno_orbits.errors import did_you_mean
-from zeno_orbits.model.drives.auxiliary import Auxiliary
+from zeno_orbits.model.acceleration import accelerate
+from zeno_orbits.model.drives.auxiliary import Part
 from zeno_orbits.model.drives.circuits import Drive, Held
-from zeno_orbits.model.drives.holds import Hold
 from zeno_orbits.model.drives.waveforms import TimeOrder, time_orders
 from zeno_orbits.model.expressions.kinks import branched
-from zeno_orbits.model.hybrid import CompletedSystem, accelerate, completed
+from zeno_orbits.model.friction import friction_switches, require_free_rates
+from zeno_orbits.model.hybrid import CompletedSystem, completed
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.modes import GraphMode, ModeGraph, formulas_of, kinks_of
 from zeno_orbits.model.stops import (
@@ -42,7 +43,7 @@ from zeno_orbits.work import checked
 @checked
 def hybrid_system(
     lagrangian: HybridLagrangian,
-    drive: Drive | Auxiliary | Hold | Sequence[Drive | Auxiliary | Hold] | Any,
+    drive: Part | Sequence[Part] | Any,
     restitution: ca.SX | float | None = None,
     *,
     switches: Sequence[Switch] | None = None,
@@ -82,7 +83,8 @@ def hybrid_system(
             raise ValueError("Argument `restitution` is missing: the third one of `hybrid_system`.")
         one = completed(lagrangian, drive, ca.SX(restitution))
         kinks = kinks_of(one.mechanism, one.drive, one.state)
-        if switches is None and not one.drive.holds and not any(kinks):
+        is_plain = not (one.drive.holds or one.drive.frictions)
+        if switches is None and is_plain and not any(kinks):
             return one.as_built()
         return replace(one, graph=graph_of_one_stop(one, switches or ())).as_built()
     if restitution is not None and not lagrangian.stops:
@@ -145,7 +147,7 @@ def guard_and_flow(graph: ModeGraph, mode: GraphMode, switch: int) -> tuple[ca.S
         flow = system_of_stop(graph, mode, opened[0]).free_flow
     else:
         flow = system_of_stop(graph, (closed[:-1], sides), closed[-1]).locked_flow
-    return graph.guard(sides, switch), flow
+    return graph.guard(sides, switch, closed), flow
 
 
 def _graph(
@@ -161,6 +163,12 @@ def _graph(
     for switch in switches:
         _require_guard(one, switch)
     switches, causes = _with_holds(one, stops, switches)
+    if drive.frictions:
+        every_gap = ca.vertcat(ca.SX(0, 1), *(stop.gap for stop in stops))
+        require_free_rates(one.mechanism, drive, stops)
+        contact = ca.SX.zeros(len(stops))
+        added = friction_switches(one.mechanism, drive, every_gap, contact)
+        switches, causes = (*switches, *added), (*causes, *("" for _ in added))
     if len(stops) > 1 and drive.after_impact is not None:
         raise ValueError(
             "Argument `after_impact` must be left out of a machine with several stops."

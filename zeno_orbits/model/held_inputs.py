@@ -238,7 +238,11 @@ def _held(base: CompletedSystem, at: str, states: ca.SX, after: ca.SX) -> Comple
     graph = base.graph
     declared = () if graph is None else graph.switches
     causes = () if graph is None else graph.causes
-    switches = [one for one, cause in zip(declared, causes, strict=True) if not cause]
+    switches = [
+        one
+        for k, (one, cause) in enumerate(zip(declared, causes, strict=True))
+        if not (cause or (graph is not None and k in graph.frictional))
+    ]
     kind, _, name = at.partition(" ")
     part: Hold | Auxiliary = Hold(states=states, at=at, after=after)
     if kind == "switch":

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import casadi as ca
 import numpy as np
 
+from zeno_orbits.model.acceleration import accelerate
 from zeno_orbits.model.clock import Clock, Time
 from zeno_orbits.model.contact import (
     SLOWEST,
@@ -21,10 +22,10 @@ from zeno_orbits.model.contact import (
     at_impact_speed,
     impact_speed,
 )
-from zeno_orbits.model.drives.auxiliary import Auxiliary, joined_auxiliary
+from zeno_orbits.model.drives.auxiliary import Part, joined_auxiliary
 from zeno_orbits.model.drives.circuits import Drive
-from zeno_orbits.model.drives.holds import Hold
 from zeno_orbits.model.expressions.identities import values_near_one
+from zeno_orbits.model.friction import stuck_motion
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.modes import ModeGraph
 
@@ -65,6 +66,8 @@ class CompletedSystem:
         stop_restitution: Coefficient of restitution of the stop, without the current layer that a
             corrected drive adds to an impact. It may depend on `impact_speed`.
         drive: Drive of the mechanism.
+        belt_power: Power that moving surfaces deliver to the parts that stick to them, off the stop
+            and on it, ``(2,)`` [W].
         graph: All modes of a machine with several stops or switches, or ``None``. The other fields
             then describe its first stop alone.
         is_built: Whether it is as `hybrid_system` returns it. A copy with other formulas is not: no
@@ -94,6 +97,7 @@ class CompletedSystem:
     bare: HybridLagrangian
     stop_restitution: ca.SX
     drive: Drive
+    belt_power: ca.SX = field(default_factory=lambda: ca.SX(2, 1))
     graph: ModeGraph | None = None
     is_built: bool = field(default=False, init=False, repr=False, compare=False)
 
@@ -146,7 +150,7 @@ class CompletedSystem:
 
 def completed(
     lagrangian: HybridLagrangian,
-    drive: Drive | Auxiliary | Hold | Sequence[Drive | Auxiliary | Hold],
+    drive: Part | Sequence[Part],
     restitution: ca.SX,
 ) -> CompletedSystem:
     r"""Return the completed system of a mechanism with one stop, as `complete` describes it.
@@ -169,14 +173,25 @@ def completed(
     response = ca.mtimes(inverse_mass, normal)
     # The absent stop of a machine without stops has no normal, and no impulse acts along it.
     normal_inertia = 1 / ca.dot(normal, response) if normal.nnz() else ca.SX(0)
-    gap_rate = ca.dot(normal, v)
-    gap_acceleration = ca.dot(normal, free_acceleration) + ca.jtimes(gap_rate, q, v)
-    multiplier = -gap_acceleration * normal_inertia
-    law = ImpactLaw.of_formula(restitution)
-
     extra, extra_rate, off_circle = _appended(lagrangian, drive)
     state = ca.vertcat(q, v, extra)
-    locked_acceleration = free_acceleration + multiplier * response
+    pressed, pressed_inertia, belt_power = response, normal_inertia, ca.SX(2, 1)
+    slipping = free_acceleration
+    stuck = stuck_motion(lagrangian, drive, inverse_mass, free_acceleration, extra, extra_rate)
+    if stuck is not None:
+        # Bounded friction gives no impulse: only forces meet the parts that stick.
+        slipping, free_acceleration = free_acceleration, stuck.acceleration
+        pressed = ca.mtimes(stuck.inverse_mass, normal)
+        pressed_inertia = 1 / ca.dot(normal, pressed) if normal.nnz() else ca.SX(0)
+    gap_rate = ca.dot(normal, v)
+    gap_acceleration = ca.dot(normal, free_acceleration) + ca.jtimes(gap_rate, q, v)
+    multiplier = -gap_acceleration * pressed_inertia
+    law = ImpactLaw.of_formula(restitution)
+
+    locked_acceleration = free_acceleration + multiplier * pressed
+    if stuck is not None:
+        every = (slipping, slipping + multiplier * response)
+        belt_power = ca.vertcat(*(stuck.belt_power(one) for one in every))
     locked_flow = ca.vertcat(v, locked_acceleration, extra_rate)
     velocity_change = response * normal_inertia
     direction = ca.vertcat(ca.SX.zeros(q.numel()), velocity_change, ca.SX.zeros(extra.numel()))
@@ -199,6 +214,7 @@ def completed(
         impulse_direction=direction,
         normal_inertia=normal_inertia,
         law=law,
+        belt_power=belt_power,
         energy=lagrangian.kinetic + lagrangian.potential + drive.stored_energy,
         input_power=drive.input_power + ca.dot(lagrangian.applied_force, v),
         copper_loss=drive.copper_loss,
@@ -272,27 +288,6 @@ def _of_any_speed(change: ca.SX) -> ca.SX:
                 "the restitution e depends on the speed of the impact."
             )
     return at_impact_speed(change, SLOWEST)
-
-
-def accelerate(lagrangian: HybridLagrangian, force: ca.SX) -> tuple[ca.SX, ca.SX]:
-    r"""Return the inverse mass on the holonomic constraints and the free acceleration.
-
-    .. math:: W = M^{-1} - M^{-1} H^\top (H M^{-1} H^\top)^{-1} H M^{-1},\qquad
-        a = W (F - \mathrm{bias}) - M^{-1} H^\top (H M^{-1} H^\top)^{-1} \dot H v
-
-    with :math:`H = \partial\eta / \partial q` (theory (1.6)).
-    """
-    q, v, eta = lagrangian.q, lagrangian.v, lagrangian.holonomic
-    inverse_mass = ca.inv(lagrangian.mass_matrix)
-    net_force = force - lagrangian.bias
-    if eta.numel() == 0:
-        return inverse_mass, ca.mtimes(inverse_mass, net_force)
-    jacobian = ca.jacobian(eta, q)
-    response = ca.mtimes(inverse_mass, jacobian.T)
-    gain = ca.mtimes(response, ca.inv(ca.mtimes(jacobian, response)))
-    constrained = inverse_mass - ca.mtimes(gain, response.T)
-    drift = ca.jtimes(ca.mtimes(jacobian, v), q, v)
-    return constrained, ca.mtimes(constrained, net_force) - ca.mtimes(gain, drift)
 
 
 def _corrected_restitution(

@@ -10,6 +10,7 @@ from zeno_orbits.integrators.lookups import lookups_in
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.drives.waveforms import TimeOrder
 from zeno_orbits.model.expressions.kinks import branched, is_smooth, sided
+from zeno_orbits.model.friction import PER_PART, friction_due, friction_switches
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.stops import Stop, Switch, watched
 
@@ -105,14 +106,58 @@ class ModeGraph:
         switches = [ca.SX(part) for one in self.switches for part in (one.guard, one.armed)]
         return [*stops, *switches, *self.resets]
 
-    def guard(self, sides: tuple[bool, ...], switch: int) -> ca.SX:
+    @property
+    def n_frictions(self) -> int:
+        """Number of parts with dry friction."""
+        return len(self.drive.frictions)
+
+    @property
+    def frictional(self) -> range:
+        """Indices of the switches of its parts with dry friction, the last declared ones."""
+        n = len(self.switches)
+        return range(n - PER_PART * self.n_frictions, n)
+
+    def declared(self, contact: ca.SX) -> tuple[Switch, ...]:
+        """Return the declared switches with some stops closed.
+
+        Args:
+            contact: 1 for each stop that is closed, and else 0, ``(n_stops,)``.
+        """
+        own = self.switches[: self.frictional.start]
+        gaps = self._every_gap
+        return (*own, *friction_switches(self.mechanism, self.drive, gaps, contact))
+
+    def due(self, contact: ca.SX, sizes: ca.SX) -> ca.SX:
+        """Return formulas that are positive where a declared switch occurs without a zero.
+
+        Args:
+            contact: 1 for each stop that is closed, and else 0, ``(n_stops,)``.
+            sizes: Sizes of the states, ``(n_x,)``.
+        """
+        own = ca.SX.zeros(self.frictional.start)
+        parts = self.mechanism, self.drive, self._every_gap, contact
+        return ca.vertcat(own, friction_due(*parts, self.state, sizes))
+
+    @property
+    def _every_gap(self) -> ca.SX:
+        return ca.vertcat(ca.SX(0, 1), *(one.gap for one in self.stops))
+
+    def guard(
+        self, sides: tuple[bool, ...], switch: int, closed: tuple[int, ...] = ()
+    ) -> ca.SX:
         """Return the guard of a switch.
 
         Args:
             sides: The side of every kink.
             switch: Index of a declared switch, or of a kink after these.
+            closed: Indices of the closed stops, on which the guards of dry friction depend.
         """
         declared = len(self.switches)
+        if switch in self.frictional:
+            mechanism, drive, _ = self.on_branch(sides)
+            contact = ca.SX([float(k in closed) for k in range(len(self.stops))])
+            found = friction_switches(mechanism, drive, self._every_gap, contact)
+            return ca.SX(found[switch - self.frictional.start].guard)
         if switch < declared:
             return ca.SX(self.switches[switch].guard)
         return self.on_branch(sides)[2][switch - declared]

@@ -18,12 +18,13 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector, finite_vector
 from zeno_orbits.errors import InputError, finite_number, named_numbers, number_range
+from zeno_orbits.model.acceleration import accelerate
 from zeno_orbits.model.contact import require_zeno_points
 from zeno_orbits.model.drawing import DrawingFunction, lines_of
 from zeno_orbits.model.expressions.formula_units import unit_of
 from zeno_orbits.model.expressions.units import energy_unit, require_coherent
 from zeno_orbits.model.graph import graph_of_one_stop
-from zeno_orbits.model.hybrid import CompletedSystem, accelerate
+from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.mistakes import place_of
 from zeno_orbits.model.modes import ModeGraph
 from zeno_orbits.model.origin import Declared, Origin

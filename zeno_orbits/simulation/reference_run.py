@@ -462,7 +462,7 @@ class ReferenceRun(StopRun):
             for j in self.rest:
                 if not self._holding(self.rest, j).multiplier(x) > 0.0:
                     return False
-            guards, rounding, _ = self.graph.guards(x, self.sides)
+            guards, rounding, _ = self.graph.guards(x, self.sides, self.rest)
             signs = np.where(self._signs(), guards, -guards)
             # A kink that splits every flight is zero at the limit itself.
             signs[list(self.split_by[0])] = np.inf
@@ -776,7 +776,7 @@ class ReferenceRun(StopRun):
         for k in range(len(self.graph.stop_names)):
             if k not in closed and not self._view((), k).gap(x) > 0.0:
                 return False
-        guards, levels, _ = self.graph.guards(x, self.sides)
+        guards, levels, _ = self.graph.guards(x, self.sides, closed)
         for s, above in enumerate(self._signs()):
             value, small = float(guards[s]), _SPENT * float(levels[s])
             if not (value if above else -value) > -small:
@@ -898,7 +898,7 @@ class ReferenceRun(StopRun):
                 yield _Guard(Kind.GAP, k, flight, y, rate, True, rounding)
             else:
                 yield _Guard(Kind.GAP, k, view.free, x, None, gap <= rounding, rounding)
-        values, levels, _ = self.graph.guards(x, self.sides)
+        values, levels, _ = self.graph.guards(x, self.sides, closed)
         unknown = np.flatnonzero(np.isnan(values))
         if unknown.size:
             raise undefined_guard(self.graph.switch_names[int(unknown[0])], start.time, x)
@@ -1113,7 +1113,7 @@ class ReferenceRun(StopRun):
                 zero.append(event)
         if found is not None and self._main_is_zero(start, arc, end):
             zero.append(main)
-        events = [event for event in zero if self._occurs(*event, x)]
+        events = [event for event in zero if self._occurs(*event, x, closed)]
         impacts = [index for kind, index in events if kind is Kind.GAP]
         if len(events) < 2:
             return (events or zero)[0]
@@ -1203,11 +1203,11 @@ class ReferenceRun(StopRun):
             return self._is_zero(value, rate, self.settings.contact * self.own.multiplier)
         return self._is_zero(self.dynamics.gap(x), self.dynamics.gap_rate(x), self.small_gap)
 
-    def _occurs(self, kind: Kind, index: int, x: Vector) -> bool:
+    def _occurs(self, kind: Kind, index: int, x: Vector, closed: tuple[int, ...]) -> bool:
         """Return True if the zero of a guard is an event: a declared switch is armed and falls."""
         if kind is not Kind.SWITCH or index >= self.graph.n_declared:
             return True
-        return self.above[index] and bool(self.graph.guards(x, self.sides)[2][index] > 0.0)
+        return self.above[index] and bool(self.graph.guards(x, self.sides, closed)[2][index] > 0.0)
 
     def _require_apart(
         self, struck: Sequence[int], closed: Sequence[int], time: float, x: Vector
@@ -1290,7 +1290,7 @@ class ReferenceRun(StopRun):
         if s in crossed:
             raise slides(name, start.time, x)
         self.flipped = start.time, crossed | {s}
-        if s < self.graph.n_declared and self._occurs(Kind.SWITCH, s, x):
+        if s < self.graph.n_declared and self._occurs(Kind.SWITCH, s, x, self._closed(start)):
             if self._occurs_at_once(start, s):
                 return self._switched(start, start.time, x, s)
             mode: GraphMode = (self._closed(start), self.sides)
@@ -1311,7 +1311,11 @@ class ReferenceRun(StopRun):
         if not self.graph.n_declared:
             return None
         x, closed = start.state, self._closed(start)
-        values, levels, armed = self.graph.guards(x, self.sides)
+        at_once = self.graph.due(x, self.sides, closed)
+        if at_once is not None:
+            return self._due_at_once(at_once, start)
+        values, levels, armed = self.graph.guards(x, self.sides, closed)
+        self._take_frictions(values, levels)
         for s in range(self.graph.n_declared):
             if not (self.above[s] and abs(values[s]) <= levels[s] and armed[s] > 0.0):
                 continue
@@ -1322,6 +1326,25 @@ class ReferenceRun(StopRun):
                 return s
             self._change_side(s, x)
         return None
+
+    def _take_frictions(self, values: Vector, levels: Vector) -> None:
+        """Take the sides of the switches of dry friction anew: they depend on the closed stops."""
+        if not self.graph.has_friction:
+            return
+        first = self.graph.compiled.graph.frictional.start
+        anew = range(first, self.graph.n_declared)
+        self.above = (*self.above[:first], *(bool(not values[k] < -levels[k]) for k in anew))
+
+    def _due_at_once(self, s: int, start: ArcStart) -> int:
+        """Return a switch of dry friction that occurs at a start without a zero of its guard.
+
+        Raises:
+            ChatterError: If it has just occurred.
+        """
+        name = self.graph.switch_names[s]
+        if start.time in self.seen.switches.get(name, ())[-1:]:
+            raise switches_accumulate(name, start.time, start.state)
+        return s
 
     def _occurs_at_once(self, start: ArcStart, s: int) -> bool:
         """Return True if a switch that is armed and falls at a start has not just occurred.
@@ -1375,7 +1398,7 @@ class ReferenceRun(StopRun):
         closed = self._closed(start)
         name, is_kink = self.graph.switch_names[s], s >= self.graph.n_declared
         was_above = bool(self._signs()[s])
-        if not is_kink and was_above and self.graph.guards(x, self.sides)[2][s] > 0.0:
+        if self._resets(s, time, x, closed):
             after = self.graph.after_switch(s, x)
             self.flipped = math.nan, frozenset()
             self._count_switch(time, name, x, after)
@@ -1401,6 +1424,14 @@ class ReferenceRun(StopRun):
                 mode=Mode.FREE, time=time, state=x, speed=start.speed, height=height, launch=launch
             )
         return self._placed(time, x, closed, flying=flying, flight=flight)
+
+    def _resets(self, s: int, time: float, x: Vector, closed: tuple[int, ...]) -> bool:
+        """Return True if a switch sets the state: it is declared and armed, and falls or is due."""
+        if s >= self.graph.n_declared:
+            return False
+        if self.above[s] and self.graph.guards(x, self.sides, closed)[2][s] > 0.0:
+            return True
+        return self.graph.due(x, self.sides, closed) == s
 
     def _count_switch(self, time: float, name: str, before: Vector, after: Vector) -> None:
         event = SwitchEvent(time=time, name=name, state_minus=before, state_plus=after)

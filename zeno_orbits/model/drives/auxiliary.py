@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from zeno_orbits.model.drives.circuits import Circuit, Drive
+from zeno_orbits.model.drives.friction import DryFriction
 from zeno_orbits.model.drives.holds import Hold
 from zeno_orbits.model.drives.motors import MotorBank
 from zeno_orbits.model.expressions.operations import expand_calls
@@ -109,9 +110,13 @@ class Auxiliary:
         )
 
 
+Part = Drive | Auxiliary | Hold | DryFriction
+"""A part of a drive."""
+
+
 def joined_auxiliary(
     mechanism: HybridLagrangian,
-    drives: Drive | Auxiliary | Hold | Sequence[Drive | Auxiliary | Hold],
+    drives: Part | Sequence[Part],
 ) -> Drive:
     """Return several drives as one, their states one after the other.
 
@@ -124,7 +129,8 @@ def joined_auxiliary(
     """
     given = list(drives) if isinstance(drives, Sequence) else [drives]
     parts = [
-        one.drive(mechanism) if isinstance(one, Auxiliary | Hold) else _known(one) for one in given
+        one.drive(mechanism) if isinstance(one, Auxiliary | Hold | DryFriction) else _known(one)
+        for one in given
     ]
     if len(parts) == 1:
         return parts[0]
@@ -161,6 +167,11 @@ def joined_auxiliary(
         fed=fed,
         joins=tuple(parts),
         holds=sum((part.holds for part in parts), ()),
+        frictions=sum((part.frictions for part in parts), ()),
+        sides=ca.vertcat(ca.SX(0, 1), *(part.sides for part in parts)),
+        sliding=ca.vertcat(ca.SX(0, 1), *(part.sliding for part in parts)),
+        static=ca.vertcat(ca.SX(0, 1), *(part.static for part in parts)),
+        sticks=ca.vertcat(ca.SX(0, 1), *(part.sticks for part in parts)),
     )
 
 

@@ -124,6 +124,11 @@ class Drive:
             ``None`` for a drive without sources.
         joins: The drives that were combined, or empty for a single drive.
         holds: Those of its states that are set at events.
+        frictions: Names of its parts with dry friction, ``(n_f,)``.
+        sides: Sides of these parts, which are states, ``(n_f,)``.
+        sliding: Their relative rates, ``(n_f,)``.
+        static: Largest forces while they stick, ``(n_f,)``.
+        sticks: 1 for a part that sticks, and else 0, ``(n_f,)``.
     """
 
     states: ca.SX
@@ -146,6 +151,11 @@ class Drive:
     fed: Callable[[ca.SX], Drive] | None = None
     joins: tuple[Drive, ...] = ()
     holds: tuple[Held, ...] = ()
+    frictions: tuple[str, ...] = ()
+    sides: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    sliding: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    static: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    sticks: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
 
     @property
     def current(self) -> ca.SX:

@@ -54,7 +54,7 @@ The second one is the shortest part of this at which its formulas are evaluated.
 
 _Stop = tuple[GraphMode, int]
 _Side = tuple[GraphMode, int, bool]
-"""An open stop of a mode, and a side of a switch in a mode."""
+"""An open stop, or a switch, of a mode, and a side of a switch in a mode."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,8 +80,8 @@ class CompiledGraph:
     _guards: dict[_Side, ModeFunctions] = field(
         default_factory=dict["_Side", ModeFunctions], repr=False
     )
-    _gradients: dict[tuple[tuple[bool, ...], int], ca.Function] = field(
-        default_factory=dict["tuple[tuple[bool, ...], int]", ca.Function], repr=False
+    _gradients: dict[_Stop, ca.Function] = field(
+        default_factory=dict["_Stop", ca.Function], repr=False
     )
     _powers: dict[GraphMode, Columns] = field(
         default_factory=dict["GraphMode", Columns], repr=False
@@ -125,7 +125,8 @@ class CompiledGraph:
             stored = ca.SX(0)
             if added.numel():
                 stored = ca.jtimes(one.energy, graph.state[further], added)
-            powers = ca.vertcat(one.input_power, one.copper_loss, one.other_loss - stored)
+            given = one.input_power + one.belt_power[0 if rest == mode else 1]
+            powers = ca.vertcat(given, one.copper_loss, one.other_loss - stored)
             inputs = [graph.state, self.parameters]
             self._powers[mode] = Columns(dense_function("powers", inputs, [powers]))
         return self._powers[mode]
@@ -155,28 +156,37 @@ class CompiledGraph:
         """Guards at a state, on given sides of the kinks.
 
         ``(x, p, sizes, sides) -> (guards of all switches, sizes of the guards, formulas `armed`)``.
+        With dry friction the flags of the closed stops follow the sides, and further outputs are
+        positive where a declared switch occurs at the start of an arc without a zero.
         """
         graph = self.graph
         size = ca.SX.sym("size", graph.state.numel())
         sides = ca.SX.sym("side", len(graph.conditions))
+        contact = ca.SX.sym("contact", len(graph.stops) if graph.n_frictions else 0)
         conditions, slopes = graph.on_sides(sides)
-        declared = ca.vertcat(*(ca.SX(one.guard) for one in graph.switches))
-        armed = ca.vertcat(*(ca.SX(one.armed) for one in graph.switches))
+        switches = graph.declared(contact)
+        declared = ca.vertcat(*(ca.SX(one.guard) for one in switches))
+        armed = ca.vertcat(*(ca.SX(one.armed) for one in switches))
         guards = ca.vertcat(declared, *conditions)
         every = ca.vertcat(ca.jacobian(declared, graph.state), *slopes)
+        if graph.n_frictions:
+            sides = ca.vertcat(sides, contact)
         inputs = [graph.state, self.parameters, size, sides]
-        return dense_function("switches", inputs, [guards, ca.mtimes(ca.fabs(every), size), armed])
+        due = [graph.due(contact, size)] if graph.n_frictions else []
+        outputs = [guards, ca.mtimes(ca.fabs(every), size), armed, *due]
+        return dense_function("switches", inputs, outputs)
 
-    def gradient(self, sides: tuple[bool, ...], switch: int) -> ca.Function:
+    def gradient(self, mode: GraphMode, switch: int) -> ca.Function:
         """Return ``(x, p) -> (guard, its derivatives with respect to x and p)``.
 
         Args:
-            sides: The side of every kink.
+            mode: The mode.
             switch: Index of a declared switch, or of a kink after these.
         """
-        key = (sides, switch)
+        closed, sides = mode
+        key = (mode if switch in self.graph.frictional else ((), sides), switch)
         if key not in self._gradients:
-            guard = self.graph.guard(sides, switch)
+            guard = self.graph.guard(sides, switch, closed)
             self._gradients[key] = self._derivative("guard", guard, self.parameters)
         return self._gradients[key]
 
@@ -264,13 +274,34 @@ class _SwitchesCall:
         self._evaluate = caller(function, (self._x, p, self._size, self._sides), self._found)
 
     def __call__(
-        self, x: Vector, size: Vector, sides: Sequence[bool]
+        self, x: Vector, size: Vector, sides: Sequence[bool], closed: Sequence[int] = ()
     ) -> tuple[Vector, Vector, Vector]:
         """Return guards, their rounding levels and the formulas `armed`, from sizes of states."""
-        self._x[:], self._size[:], self._sides[:] = x, size, sides
+        self._x[:], self._size[:] = x, size
+        self._sides[:] = with_contact(sides, closed, self._sides.size)
         self._evaluate()
-        guards, sizes, armed = self._found
+        guards, sizes, armed = self._found[:3]
         return guards.copy(), _ZERO * sizes, armed.copy()
+
+    @property
+    def due(self) -> Vector:
+        """The formulas that are positive where a switch occurs without a zero, as last found."""
+        return self._found[3].copy()
+
+
+def with_contact(sides: Sequence[bool], closed: Sequence[int], size: int) -> Vector:
+    """Return the sides of kinks, and the flags of closed stops if formulas take them, ``(size,)``.
+
+    Args:
+        sides: The side of every kink.
+        closed: Indices of the closed stops.
+        size: Number of entries.
+    """
+    found = np.zeros(size)
+    found[: len(sides)] = sides
+    if size > len(sides):
+        found[[len(sides) + k for k in closed]] = 1.0
+    return found
 
 
 class GraphDynamics:
@@ -455,30 +486,52 @@ class GraphDynamics:
             self._flows[key] = CompiledFlow(functions, self.p, memory)
         return self._flows[key]
 
-    def guards(self, x: Vector, sides: tuple[bool, ...]) -> tuple[Vector, Vector, Vector]:
+    def guards(
+        self, x: Vector, sides: tuple[bool, ...], closed: Sequence[int] = ()
+    ) -> tuple[Vector, Vector, Vector]:
         """Return the guards of all switches, their rounding levels, and the formulas `armed`.
 
         Args:
             x: The state, ``(n_x,)``.
             sides: The side of every kink, which determines the branch of later conditions.
+            closed: Indices of the closed stops, on which the switches of dry friction depend.
         """
         if not self.switch_names:
             return np.zeros(0), np.zeros(0), np.zeros(0)
-        return self._switches(x, self.own.states(x.size) + np.abs(x), sides)
+        return self._switches(x, self.own.states(x.size) + np.abs(x), sides, closed)
 
-    def guards_along(
-        self, states: Vector, sides: tuple[bool, ...]
-    ) -> tuple[Vector, Vector, Vector]:
+    @property
+    def has_friction(self) -> bool:
+        """True if the machine has a part with dry friction."""
+        return self.compiled.graph.n_frictions > 0
+
+    def due(self, x: Vector, sides: tuple[bool, ...], closed: Sequence[int]) -> int | None:
+        """Return a declared switch that occurs at the start of an arc without a zero, or ``None``.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            sides: The side of every kink.
+            closed: Indices of the closed stops.
+        """
+        if not self.has_friction:
+            return None
+        self.guards(x, sides, closed)
+        found = np.flatnonzero(self._switches.due > 0.0)
+        return int(found[0]) if found.size else None
+
+    def guards_along(self, states: Vector, mode: GraphMode) -> tuple[Vector, Vector, Vector]:
         """Return the same as `guards` at many states, ``(n, n_switches)`` each.
 
         Args:
             states: The states, ``(n, n_x)``.
-            sides: The side of every kink.
+            mode: The mode.
         """
-        n, given = len(states), [self.p, np.array(sides, dtype=np.float64)]
+        closed, sides = mode
+        size = self.compiled.switches.numel_in(3)
+        n, given = len(states), [self.p, with_contact(sides, closed, size)]
         p, side = (np.broadcast_to(one, (n, one.size)) for one in given)
         sizes = self.own.states(states.shape[1]) + np.abs(states)
-        guards, sizes, armed = self.compiled.switches_along(states, p, sizes, side)
+        guards, sizes, armed = self.compiled.switches_along(states, p, sizes, side)[:3]
         return guards, _ZERO * sizes, armed
 
     def powers(self, mode: GraphMode, states: Vector) -> Vector:
@@ -537,7 +590,7 @@ class GraphDynamics:
         return tuple(sides)
 
     def guard_gradient(
-        self, switch: int, x: Vector, chosen: Sequence[int], sides: tuple[bool, ...]
+        self, switch: int, x: Vector, chosen: Sequence[int], mode: GraphMode
     ) -> Vector:
         """Return the derivative of a guard with respect to state and parameters, ``(n_x + k,)``.
 
@@ -545,9 +598,9 @@ class GraphDynamics:
             switch: Index of the switch.
             x: The state, ``(n_x,)``.
             chosen: Indices of the parameters, ``(k,)``.
-            sides: The side of every kink.
+            mode: The mode.
         """
-        _, by_x, by_p = self.compiled.gradient(sides, switch)(x, self.p)
+        _, by_x, by_p = self.compiled.gradient(mode, switch)(x, self.p)
         return np.append(by_x.full().ravel(), by_p.full().ravel()[list(chosen)])
 
     def reset_derivative(self, switch: int, x: Vector, chosen: Sequence[int]) -> Vector:

@@ -89,7 +89,7 @@ class Surface:
         for view, rows in self.contacts:
             parts.append(conditions(view, rows, x)[: len(rows)])
         if self.switch is not None:
-            parts.append(self.graph.guards(x, self.mode[1])[0][[self.switch]])
+            parts.append(self.graph.guards(x, *self.mode[::-1])[0][[self.switch]])
         return np.concatenate(parts)
 
     def gradient(self, x: Vector, chosen: Sequence[int] = ()) -> Vector:
@@ -104,7 +104,7 @@ class Surface:
         for view, rows in self.contacts:
             parts.append(differentials_of(view, chosen).contact(x)[list(rows)])
         if self.switch is not None:
-            gradient = self.graph.guard_gradient(self.switch, x, chosen, self.mode[1])
+            gradient = self.graph.guard_gradient(self.switch, x, chosen, self.mode)
             parts.append(gradient[None, :])
         return np.concatenate(parts)
 
@@ -158,7 +158,7 @@ class Surface:
         declared = switch < graph.n_declared
         above = declared or self.mode[1][switch - graph.n_declared]
         falls = graph.guard_flow(self.mode, switch, above).guard(x)[1] < 0.0
-        armed = not declared or graph.guards(x, self.mode[1])[2][switch] > 0.0
+        armed = not declared or graph.guards(x, *self.mode[::-1])[2][switch] > 0.0
         held = all(view.multiplier(x) > 0.0 for view, _ in self.contacts)
         return bool(falls and armed and held)
 
@@ -303,11 +303,12 @@ def is_one_sided(graph: GraphDynamics, found: EventReturn) -> bool:
 
 
 def _meets_a_kink(graph: GraphDynamics, x: Vector, arc: Arc, period: float) -> bool:
+    mode = arc.mode_in(graph)
     values, levels, _ = graph.guards(x, arc.sides)
-    flow = graph.flow(arc.mode_in(graph)).rate(x)
+    flow = graph.flow(mode).rate(x)
     for k, side in enumerate(arc.sides):
         switch = graph.n_declared + k
-        change = period * abs(float(graph.guard_gradient(switch, x, (), arc.sides) @ flow))
+        change = period * abs(float(graph.guard_gradient(switch, x, (), mode) @ flow))
         # A condition that stays zero is a property of the machine, and no meeting.
         if change > _CROSSES * levels[switch] and abs(values[switch]) <= _AT_ONCE * change:
             sides = (*arc.sides[:k], not side, *arc.sides[k + 1 :])

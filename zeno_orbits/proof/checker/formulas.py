@@ -153,6 +153,8 @@ def _viewed(graph: ModeGraph, view: View) -> tuple[CompletedSystem, tuple[Any, .
     """Return the system of a view, and the formulas of the other stops and of the switches."""
     if graph.has_current_layers or graph.roots:
         raise NotProved("the problem has current layers or roots at events")
+    if graph.n_frictions:
+        raise NotProved("the problem has a part with dry friction, which sticks")
     # Such a switch has another cause: an event of a stop that sets states anew.
     if any(ca.SX(one.guard).is_constant() for one in graph.switches):
         raise NotProved(

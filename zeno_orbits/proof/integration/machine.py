@@ -65,6 +65,8 @@ class BallMachine:
                 reason = "an event of a stop sets states anew, or a guard is constant"
             if any(one.q_after is not None or one.v_after is not None for one in graph.switches):
                 reason = "a switch resets coordinates or velocities"
+            if graph.n_frictions:
+                reason = "a part has dry friction, which sticks"
             if reason:
                 raise ProofError("shape", reason)
             self.stop_names = tuple(one.name for one in graph.stops)

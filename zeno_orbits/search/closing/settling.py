@@ -486,7 +486,7 @@ def _fixed_event(graph: GraphDynamics, motion: Execution, chosen: Sequence[int])
         if switch < graph.n_declared and graph.guards(event.state_plus, sides)[2][switch] > 0.0:
             # A motion cannot start where a declared switch is still armed.
             continue
-        gradient = graph.guard_gradient(switch, x, chosen, graph.sides_at(x, sides))
+        gradient = graph.guard_gradient(switch, x, chosen, ((), graph.sides_at(x, sides)))
         rest = np.delete(gradient, list(clock))
         if clock and gradient.any() and not rest.any():
             return orbit_event_name(event)

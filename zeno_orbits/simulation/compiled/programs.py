@@ -78,6 +78,7 @@ def _made(compiled: CompiledGraph) -> GraphProgram | str:
         n_stops=n_stops,
         n_declared=len(graph.switches),
         n_switches=n_switches,
+        n_frictional=len(graph.frictional),
         switches=compiled.switches,
         delassus=compiled.coupling,
         resets=compiled.resets,

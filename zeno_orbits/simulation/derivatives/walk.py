@@ -229,7 +229,8 @@ class Walk:
     def _end_at_switch(self, arc: Arc, event: Event | None) -> SaltationDerivative:
         """Return the derivatives at a switch, or at one that is not armed, which is no event."""
         graph, switch = self._of.graph, self._switch_of(arc, event)
-        gradient = graph.guard_gradient(switch, arc.end_state, self._of.chosen, arc.sides)
+        mode = arc.mode_in(graph)
+        gradient = graph.guard_gradient(switch, arc.end_state, self._of.chosen, mode)
         return self._crossed(arc, gradient)
 
     _ENDS: ClassVar[Mapping[EventKind, Callable[..., SaltationDerivative]]] = {
@@ -249,7 +250,7 @@ class Walk:
             return graph.switch_names.index(event.name)
         if not graph.n_declared:
             raise _touched(arc)
-        guards, rounding, _ = graph.guards(arc.end_state, arc.sides)
+        guards, rounding, _ = graph.guards(arc.end_state, *arc.mode_in(graph)[::-1])
         declared = slice(graph.n_declared)
         return int(np.argmin(np.abs(guards[declared]) / np.maximum(rounding[declared], 1e-300)))
 

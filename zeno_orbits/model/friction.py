@@ -1,0 +1,272 @@
+r"""Dry friction in the modes of a machine: motion that sticks, and the switches of its parts.
+
+Let `R` be the rows :math:`\partial r / \partial v` of the parts that stick, `W` the inverse mass on
+the constraints, `a` the acceleration without their forces. The forces keep :math:`\dot r = 0`:
+
+.. math:: f = -(R W R^\top)^{-1} (R\,a + \dot R\,v + \partial_t r),\qquad
+    W_\mathrm{stuck} = W - W R^\top (R W R^\top)^{-1} R W
+
+Closed stops are further rows of the same system. Source: [LeineNijmeijer2004]_.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.model.acceleration import accelerate
+from zeno_orbits.model.drives.circuits import Drive
+from zeno_orbits.model.drives.friction import STICKS_BELOW
+from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.stops import Stop, Switch
+
+PER_PART = 4
+"""Number of switches of a part: it sticks, turns, slips up and slips down."""
+_STILL, _AGAINST = 1e-11, 1e-12
+"""Parts of the size of a rate below which a part that sticks has none, and one that slips keeps its
+side."""
+_DEPENDENT = 1e-9
+"""Part of a row that is rounding, beside the rows that it depends on."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StuckMotion:
+    """The motion of a mechanism some of whose parts stick.
+
+    Attributes:
+        inverse_mass: Inverse mass with these parts as constraints, ``(n_q, n_q)``.
+        acceleration: Acceleration, ``(n_q,)``.
+        rows: Derivatives of their rates with respect to the velocities, ``(n_s, n_q)``.
+        inertia: Inverse of the Delassus matrix of the rows, ``(n_s, n_s)``.
+        drift: Accelerations of the rates without an acceleration of the mechanism, ``(n_s,)``.
+        belts: Their rates at zero velocities, ``(n_s,)``.
+    """
+
+    inverse_mass: ca.SX
+    acceleration: ca.SX
+    rows: ca.SX
+    inertia: ca.SX
+    drift: ca.SX
+    belts: ca.SX
+
+    def belt_power(self, acceleration: ca.SX) -> ca.SX:
+        """Return the power of moving surfaces, from the acceleration without their forces [W]."""
+        forces = -ca.mtimes(self.inertia, ca.mtimes(self.rows, acceleration) + self.drift)
+        return -ca.dot(forces, self.belts)
+
+
+def stuck_motion(
+    mechanism: HybridLagrangian,
+    drive: Drive,
+    inverse_mass: ca.SX,
+    acceleration: ca.SX,
+    extra: ca.SX,
+    extra_rate: ca.SX,
+) -> StuckMotion | None:
+    """Return the motion with the parts that stick, or ``None`` if none sticks.
+
+    Args:
+        mechanism: The mechanism, whose closed stops are constraints.
+        drive: Its drive on a branch, which tells what sticks.
+        inverse_mass: Inverse mass on the constraints, ``(n_q, n_q)``.
+        acceleration: Acceleration on the constraints without the forces of parts that stick.
+        extra: States after the velocities.
+        extra_rate: Their rates.
+    """
+    n = drive.sticks.numel()
+    stuck = [k for k in range(n) if drive.sticks[k].is_constant() and float(drive.sticks[k])]
+    if not stuck:
+        return None
+    v, rates = mechanism.v, drive.sliding[stuck]
+    rows = ca.jacobian(rates, v)
+    drift = _drift(mechanism, rates, extra, extra_rate)
+    response = ca.mtimes(inverse_mass, rows.T)
+    inertia = ca.inv(ca.mtimes(rows, response))
+    gain = ca.mtimes(response, inertia)
+    return StuckMotion(
+        inverse_mass=inverse_mass - ca.mtimes(gain, response.T),
+        acceleration=acceleration - ca.mtimes(gain, ca.mtimes(rows, acceleration) + drift),
+        rows=rows,
+        inertia=inertia,
+        drift=drift,
+        belts=ca.substitute(rates, v, ca.SX.zeros(v.numel())),
+    )
+
+
+def _drift(mechanism: HybridLagrangian, rates: ca.SX, extra: ca.SX, extra_rate: ca.SX) -> ca.SX:
+    """Return the accelerations of rates without an acceleration of the mechanism."""
+    q, v = mechanism.q, mechanism.v
+    if extra.numel() == 0:
+        return ca.jtimes(rates, q, v)
+    return ca.jtimes(rates, ca.vertcat(q, extra), ca.vertcat(v, extra_rate))
+
+
+def needed_force(
+    mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX, part: int
+) -> ca.SX:
+    """Return the force that a part needs to stick, where its rate is zero.
+
+    Args:
+        mechanism: The mechanism.
+        drive: Its drive.
+        gaps: The gaps of its stops, ``(n_stops,)``.
+        contact: 1 for each stop that is closed, and else 0, ``(n_stops,)``.
+        part: Index of the part.
+    """
+    q, v, side = mechanism.q, mechanism.v, drive.sides[part]
+    extra, extra_rate = drive.states, drive.rates
+    if mechanism.clock is not None:
+        extra = ca.vertcat(extra, mechanism.clock.state)
+        extra_rate = ca.vertcat(extra_rate, mechanism.clock.rate)
+    inverse_mass, free = accelerate(mechanism, ca.substitute(drive.force, side, ca.SX(0)))
+    rates = ca.vertcat(ca.jtimes(gaps, q, v), drive.sliding)
+    rows = ca.jacobian(rates, v)
+    sticks = 1 - drive.sides**2
+    sticks[part] = 1
+    acts = ca.vertcat(contact, sticks)
+    # Rows that do not act become rows of the unit matrix.
+    delassus = ca.mtimes([rows, inverse_mass, rows.T])
+    system = ca.mtimes([ca.diag(acts), delassus, ca.diag(acts)]) + ca.diag(1 - acts**2)
+    drift = ca.mtimes(rows, free) + _drift(mechanism, rates, extra, extra_rate)
+    forces = -ca.mtimes(ca.inv(system), acts * drift)
+    return forces[gaps.numel() + part]
+
+
+def friction_switches(
+    mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX
+) -> tuple[Switch, ...]:
+    """Return the switches of all parts: each sticks, turns, slips up and slips down.
+
+    Where a guard cannot fall it is 1, and so it is for the other sides of the part.
+
+    Args:
+        mechanism: The mechanism.
+        drive: Its drive.
+        gaps: The gaps of its stops, ``(n_stops,)``.
+        contact: 1 for each stop that is closed, and else 0, ``(n_stops,)``.
+    """
+    found: list[Switch] = []
+    for k, name in enumerate(drive.frictions):
+        side, rate, static = drive.sides[k], drive.sliding[k], drive.static[k]
+        needed = needed_force(mechanism, drive, gaps, contact, k)
+        slips, sticks = side**2 > STICKS_BELOW, side**2 < STICKS_BELOW
+        is_stuck = (1 - side**2) ** 2
+        row = ca.jacobian(rate, mechanism.v)
+        # Any direction that changes the rate alone: the rate is zero up to rounding.
+        stopped = mechanism.v - row.T * (rate / ca.dot(row, row))
+        settled, turned = _after(drive, k, ca.SX(0)), _after(drive, k, -ca.sign(side))
+        forward = is_stuck + side * rate
+        found += [
+            Switch(
+                name=f"stick {name}",
+                guard=forward,
+                armed=ca.logic_and(slips, needed**2 <= static**2),
+                v_after=stopped,
+                others_after=settled,
+            ),
+            Switch(
+                name=f"turn {name}",
+                guard=forward,
+                armed=ca.logic_and(slips, static**2 < needed**2),
+                others_after=turned,
+            ),
+        ]
+        for word, sign in (("up", 1), ("down", -1)):
+            reserve = is_stuck * (static + sign * needed) + (1 - is_stuck)
+            moved = _after(drive, k, ca.SX(sign))
+            found.append(
+                Switch(
+                    name=f"slip {name} {word}", guard=reserve, armed=sticks, others_after=moved
+                )
+            )
+    return tuple(found)
+
+
+def _after(drive: Drive, part: int, side: ca.SX) -> ca.SX:
+    """Return the states of a drive with another side of a part."""
+    return ca.substitute(drive.states, drive.sides[part], side)
+
+
+def friction_due(
+    mechanism: HybridLagrangian,
+    drive: Drive,
+    gaps: ca.SX,
+    contact: ca.SX,
+    state: ca.SX,
+    sizes: ca.SX,
+) -> ca.SX:
+    """Return formulas that are positive where a switch of a part occurs at the start of an arc.
+
+    An impact or a jump of a force may leave a part on a side that it does not have. It turns if its
+    rate is against its side. It slips if it has a rate, or if it needs a force above the static one.
+
+    Args:
+        mechanism: The mechanism.
+        drive: Its drive.
+        gaps: The gaps of its stops, ``(n_stops,)``.
+        contact: 1 for each stop that is closed, and else 0, ``(n_stops,)``.
+        state: The state, ``(n_x,)``.
+        sizes: Sizes of its entries, ``(n_x,)``.
+    """
+    found: list[ca.SX] = []
+    for k in range(len(drive.frictions)):
+        side, rate, static = drive.sides[k], drive.sliding[k], drive.static[k]
+        needed = needed_force(mechanism, drive, gaps, contact, k)
+        sticks = side**2 < STICKS_BELOW
+        size = ca.mtimes(ca.fabs(ca.jacobian(rate, state)), sizes)
+        small, against = _STILL * size, _AGAINST * size
+        beyond = static + _STILL * (ca.fabs(static) + ca.fabs(needed))
+        turns = ca.logic_and(ca.logic_not(sticks), side * rate < -against)
+        found += [ca.SX(0), turns]
+        for sign in (1, -1):
+            is_pulled = ca.logic_and(ca.fabs(rate) <= small, beyond < -sign * needed)
+            leaves = ca.logic_or(small < sign * rate, is_pulled)
+            found.append(ca.logic_and(sticks, leaves))
+    return ca.vertcat(*found)
+
+
+def require_free_rates(mechanism: HybridLagrangian, drive: Drive, stops: Sequence[Stop]) -> None:
+    """Refuse a friction whose rate is zero while stops are closed or other parts stick.
+
+    Its force and the force of the stop are then not determined.
+
+    Raises:
+        ValueError: If there is one. The message names it.
+    """
+    v, q = mechanism.v, mechanism.q
+    fixed = [mechanism.holonomic[k] for k in range(mechanism.holonomic.numel())]
+    normals = ca.jacobian(ca.vertcat(ca.SX(0, 1), *fixed, *(one.gap for one in stops)), q)
+    rows = ca.jacobian(drive.sliding, v)
+    every = ca.vertcat(normals, rows)
+    symbols = ca.veccat(*ca.symvar(every)) if ca.symvar(every) else ca.SX(0, 1)
+    function = ca.Function("rows", [symbols], [ca.densify(every)])
+    at = np.random.default_rng(0).uniform(0.5, 1.5, symbols.numel())
+    matrix = np.asarray(function(at).full(), dtype=np.float64)
+    n_fixed, n_stops, n = len(fixed), len(stops), len(drive.frictions)
+    frictions = [n_fixed + n_stops + k for k in range(n)]
+    for closed in (c for m in range(n_stops + 1) for c in combinations(range(n_stops), m)):
+        shut = [*range(n_fixed), *(n_fixed + k for k in closed)]
+        if _rank(matrix[shut]) < len(shut):
+            continue
+        for k, name in enumerate(drive.frictions):
+            taken = [*shut, *frictions[: k + 1]]
+            if _rank(matrix[taken]) == len(taken):
+                continue
+            who = ", ".join(f"the closed stop `{stops[j].name}`" for j in closed)
+            who = who or "a constraint or another part that sticks"
+            raise ValueError(
+                f"Argument `rate` of the friction `{name}` must be free, but it is zero with "
+                f"{who}, so its force is not determined. Choose a rate that they do not hold."
+            )
+
+
+def _rank(matrix: np.ndarray) -> int:
+    """Return the number of independent rows."""
+    if not matrix.size:
+        return 0
+    sizes = np.linalg.norm(matrix, axis=1, keepdims=True)
+    return int(np.linalg.matrix_rank(matrix / np.where(sizes > 0, sizes, 1.0), tol=_DEPENDENT))
