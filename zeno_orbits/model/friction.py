@@ -11,9 +11,10 @@ Closed stops are further rows of the same system. Source: [LeineNijmeijer2004]_.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import casadi as ca
 import numpy as np
@@ -24,11 +25,13 @@ from zeno_orbits.model.drives.friction import STICKS_BELOW
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.stops import Stop, Switch
 
-PER_PART = 4
-"""Number of switches of a part: it sticks, turns, slips up and slips down."""
+PER_PART = 5
+"""Number of switches of a part: it sticks, and turns or slips in either direction."""
 _STILL, _AGAINST = 1e-11, 1e-12
 """Parts of the size of a rate below which a part that sticks has none, and one that slips keeps its
 side."""
+_MOST = 24
+"""Combinations of stops and parts that are tried where a part may stick."""
 _DEPENDENT = 1e-9
 """Part of a row that is rounding, beside the rows that it depends on."""
 
@@ -105,41 +108,102 @@ def _drift(mechanism: HybridLagrangian, rates: ca.SX, extra: ca.SX, extra_rate: 
     return ca.jtimes(rates, ca.vertcat(q, extra), ca.vertcat(v, extra_rate))
 
 
-def needed_force(
-    mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX, part: int
-) -> ca.SX:
-    """Return the force that a part needs to stick, where its rate is zero.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Held:
+    """A mechanism whose closed stops and parts that stick are held.
+
+    Attributes:
+        contacts: Contact forces of the stops, zero for an open one, ``(n_stops,)``.
+        lifts: Gap accelerations, ``(n_stops,)``.
+        forces: Forces of the parts that stick, zero for the others, ``(n_f,)``.
+        pulls: Accelerations of the rates, ``(n_f,)``.
+    """
+
+    contacts: ca.SX
+    lifts: ca.SX
+    forces: ca.SX
+    pulls: ca.SX
+
+
+def _held(
+    mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX, sides: ca.SX
+) -> _Held:
+    """Return the forces and accelerations of a mechanism at sides of its parts.
 
     Args:
         mechanism: The mechanism.
         drive: Its drive.
         gaps: The gaps of its stops, ``(n_stops,)``.
         contact: 1 for each stop that is closed, and else 0, ``(n_stops,)``.
-        part: Index of the part.
+        sides: The sides, 0 for a part that sticks, ``(n_f,)``.
     """
-    q, v, side = mechanism.q, mechanism.v, drive.sides[part]
+    q, v = mechanism.q, mechanism.v
     extra, extra_rate = drive.states, drive.rates
     if mechanism.clock is not None:
         extra = ca.vertcat(extra, mechanism.clock.state)
         extra_rate = ca.vertcat(extra_rate, mechanism.clock.rate)
-    inverse_mass, free = accelerate(mechanism, ca.substitute(drive.force, side, ca.SX(0)))
+    inverse_mass, free = accelerate(mechanism, ca.substitute(drive.force, drive.sides, sides))
     rates = ca.vertcat(ca.jtimes(gaps, q, v), drive.sliding)
     rows = ca.jacobian(rates, v)
-    sticks = 1 - drive.sides**2
-    sticks[part] = 1
-    acts = ca.vertcat(contact, sticks)
+    acts = ca.vertcat(contact, 1 - sides**2)
     # Rows that do not act become rows of the unit matrix.
     delassus = ca.mtimes([rows, inverse_mass, rows.T])
     system = ca.mtimes([ca.diag(acts), delassus, ca.diag(acts)]) + ca.diag(1 - acts**2)
     drift = ca.mtimes(rows, free) + _drift(mechanism, rates, extra, extra_rate)
     forces = -ca.mtimes(ca.inv(system), acts * drift)
-    return forces[gaps.numel() + part]
+    left = drift + ca.mtimes(delassus, acts * forces)
+    n = gaps.numel()
+    return _Held(contacts=forces[:n], lifts=left[:n], forces=forces[n:], pulls=left[n:])
+
+
+def _needed_at_once(
+    mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX, part: int
+) -> ca.SX:
+    """Return the force that a part needs to stick, with all that is held beside it."""
+    sides = ca.SX(drive.sides)
+    sides[part] = 0
+    return _held(mechanism, drive, gaps, contact, sides).forces[part]
+
+
+def _needed_at_rest(
+    mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX, part: int
+) -> ca.SX:
+    """Return the force that a part needs to stick where its rate is zero, or infinity.
+
+    With that force a closed stop may open, and another part that sticks may slip. The combination
+    that fulfils all laws is taken, and of several the one in which most is held. Beyond `_MOST`
+    combinations all is kept as it is: a change then leads to a further event at the same time.
+    """
+    n, m = gaps.numel(), len(drive.frictions)
+    others = [k for k in range(m) if k != part]
+    if 2**n * 3 ** len(others) > _MOST:
+        return _needed_at_once(mechanism, drive, gaps, contact, part)
+    needed = ca.SX(math.inf)
+    ways = product(*[(0, 1)] * n, *[(1, -1, 0)] * len(others))
+    for way in sorted(ways, key=lambda one: sum(one[:n]) + sum(s == 0 for s in one[n:])):
+        sides, fits = ca.SX(drive.sides), ca.SX(1)
+        sides[part] = 0
+        for k, side in zip(others, way[n:], strict=True):
+            was_stuck = drive.sides[k] ** 2 < STICKS_BELOW
+            sides[k] = ca.if_else(was_stuck, side, drive.sides[k])
+        one = _held(mechanism, drive, gaps, ca.SX(way[:n]) * contact, sides)
+        for k, shut in enumerate(way[:n]):
+            fits = ca.logic_and(
+                fits, one.contacts[k] >= 0 if shut else contact[k] * one.lifts[k] >= 0
+            )
+        for k, side in zip(others, way[n:], strict=True):
+            was_slipping = drive.sides[k] ** 2 > STICKS_BELOW
+            obeys = side * one.pulls[k] > 0 if side else one.forces[k] ** 2 <= drive.static[k] ** 2
+            fits = ca.logic_and(fits, ca.logic_or(was_slipping, obeys))
+        sticks = ca.logic_and(fits, one.forces[part] ** 2 <= drive.static[part] ** 2)
+        needed = ca.if_else(sticks, one.forces[part], needed)
+    return needed
 
 
 def friction_switches(
     mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX
 ) -> tuple[Switch, ...]:
-    """Return the switches of all parts: each sticks, turns, slips up and slips down.
+    """Return the switches of all parts: each sticks, and turns or slips up and down.
 
     Where a guard cannot fall it is 1, and so it is for the other sides of the part.
 
@@ -152,43 +216,51 @@ def friction_switches(
     found: list[Switch] = []
     for k, name in enumerate(drive.frictions):
         side, rate, static = drive.sides[k], drive.sliding[k], drive.static[k]
-        needed = needed_force(mechanism, drive, gaps, contact, k)
-        slips, sticks = side**2 > STICKS_BELOW, side**2 < STICKS_BELOW
+        needed = _needed_at_once(mechanism, drive, gaps, contact, k)
+        at_rest = _needed_at_rest(mechanism, drive, gaps, contact, k)
+        slips, sticks = STICKS_BELOW < side**2, side**2 < STICKS_BELOW
         is_stuck = (1 - side**2) ** 2
         row = ca.jacobian(rate, mechanism.v)
         # Any direction that changes the rate alone: the rate is zero up to rounding.
         stopped = mechanism.v - row.T * (rate / ca.dot(row, row))
-        settled, turned = _after(drive, k, ca.SX(0)), _after(drive, k, -ca.sign(side))
         forward = is_stuck + side * rate
-        found += [
+        found.append(
             Switch(
                 name=f"stick {name}",
                 guard=forward,
-                armed=ca.logic_and(slips, needed**2 <= static**2),
+                armed=ca.logic_and(slips, at_rest**2 <= static**2),
                 v_after=stopped,
-                others_after=settled,
-            ),
-            Switch(
-                name=f"turn {name}",
-                guard=forward,
-                armed=ca.logic_and(slips, static**2 < needed**2),
-                others_after=turned,
-            ),
-        ]
-        for word, sign in (("up", 1), ("down", -1)):
-            reserve = is_stuck * (static + sign * needed) + (1 - is_stuck)
-            moved = _after(drive, k, ca.SX(sign))
+                others_after=_after(drive, k, 0),
+            )
+        )
+        for word, sign in _WAYS:
+            turns = ca.logic_and(_ASIDE < -sign * side, static**2 < at_rest**2)
             found.append(
                 Switch(
-                    name=f"slip {name} {word}", guard=reserve, armed=sticks, others_after=moved
+                    name=f"turn {name} {word}",
+                    guard=forward,
+                    armed=turns,
+                    others_after=_after(drive, k, sign),
                 )
+            )
+        for word, sign in _WAYS:
+            reserve = is_stuck * (static + sign * needed) + (1 - is_stuck)
+            moved = _after(drive, k, sign)
+            found.append(
+                Switch(name=f"slip {name} {word}", guard=reserve, armed=sticks, others_after=moved)
             )
     return tuple(found)
 
 
-def _after(drive: Drive, part: int, side: ca.SX) -> ca.SX:
+_WAYS = (("up", 1), ("down", -1))
+"""Directions of a part, and the signs of its rate."""
+_ASIDE = math.sqrt(STICKS_BELOW)
+"""Size of a side above which a part slips."""
+
+
+def _after(drive: Drive, part: int, side: int) -> ca.SX:
     """Return the states of a drive with another side of a part."""
-    return ca.substitute(drive.states, drive.sides[part], side)
+    return ca.substitute(drive.states, drive.sides[part], ca.SX(side))
 
 
 def friction_due(
@@ -215,14 +287,15 @@ def friction_due(
     found: list[ca.SX] = []
     for k in range(len(drive.frictions)):
         side, rate, static = drive.sides[k], drive.sliding[k], drive.static[k]
-        needed = needed_force(mechanism, drive, gaps, contact, k)
+        needed = _needed_at_once(mechanism, drive, gaps, contact, k)
         sticks = side**2 < STICKS_BELOW
         size = ca.mtimes(ca.fabs(ca.jacobian(rate, state)), sizes)
         small, against = _STILL * size, _AGAINST * size
         beyond = static + _STILL * (ca.fabs(static) + ca.fabs(needed))
-        turns = ca.logic_and(ca.logic_not(sticks), side * rate < -against)
-        found += [ca.SX(0), turns]
-        for sign in (1, -1):
+        found.append(ca.SX(0))
+        for _, sign in _WAYS:
+            found.append(ca.logic_and(_ASIDE < -sign * side, side * rate < -against))
+        for _, sign in _WAYS:
             is_pulled = ca.logic_and(ca.fabs(rate) <= small, beyond < -sign * needed)
             leaves = ca.logic_or(small < sign * rate, is_pulled)
             found.append(ca.logic_and(sticks, leaves))

@@ -142,9 +142,7 @@ class ModeGraph:
     def _every_gap(self) -> ca.SX:
         return ca.vertcat(ca.SX(0, 1), *(one.gap for one in self.stops))
 
-    def guard(
-        self, sides: tuple[bool, ...], switch: int, closed: tuple[int, ...] = ()
-    ) -> ca.SX:
+    def guard(self, sides: tuple[bool, ...], switch: int, closed: tuple[int, ...] = ()) -> ca.SX:
         """Return the guard of a switch.
 
         Args:

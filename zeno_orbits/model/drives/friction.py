@@ -25,8 +25,8 @@ class DryFriction:
         \dot r = 0,\ |f| \le T_0 \text{ while } s = 0
 
     The side :math:`s` is 1 or -1 while the part slips, and 0 while it sticks. It is the state
-    ``side_NAME`` of the machine and changes at the switches ``stick NAME``, ``turn NAME``,
-    ``slip NAME up`` and ``slip NAME down``. Where the rate is zero, the part sticks if the force
+    ``side_NAME`` of the machine and changes at the switches ``stick NAME``, ``turn NAME up``,
+    ``turn NAME down``, ``slip NAME up`` and ``slip NAME down``. Where the rate is zero, the part sticks if the force
     that it needs for that is at most :math:`T_0`. Friction is bounded, so it gives no impulse in an
     impact. Just after an impact that changes the rate, the part slips by the sign of its rate.
 
@@ -45,9 +45,7 @@ class DryFriction:
     rate: ca.SX = field(kw_only=True)
     torque: ca.SX | float = field(kw_only=True)
     static: ca.SX | float | None = field(default=None, kw_only=True)
-    side: ca.SX = field(
-        init=False, compare=False, default_factory=lambda: ca.SX(0, 1)
-    )
+    side: ca.SX = field(init=False, compare=False, default_factory=lambda: ca.SX(0, 1))
 
     def __post_init__(self) -> None:
         """Refuse wrong kinds, an empty name, a negative torque and a static one below it."""
