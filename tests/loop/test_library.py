@@ -109,6 +109,7 @@ RULES: dict[str, float] = {
     "FLIGHT_STEPS": rescaled_flight._MOST_STEPS,
     "MOST_CORRECTIONS": rescaled_flight._MOST_CORRECTIONS,
     "CLOSE": rescaled_flight._CLOSE,
+    "FORCED": friction.FORCED,
     "SWITCH_ZERO": graph_dynamics._ZERO,
     "START_OFF": admission.START_OFF,
     "APART": reference_run._APART,

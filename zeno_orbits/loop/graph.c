@@ -986,6 +986,7 @@ static int arc_ended(Graph *g) {
 /* Switches. */
 
 static int switched(Graph *g, double time, const double *x, int k, const double *scaled);
+static int count_switch(Graph *g, double time, int k, const double *before, const double *after);
 
 static int switched_at_start(Graph *g, int k) {
     double x[ZL_MOST];
@@ -1021,6 +1022,42 @@ static int occurs_at_once(Graph *g, int k, int *at_once) {
     return GO_ON;
 }
 
+/* The switch of dry friction that is most urgently due, or -1. */
+static int first_due(const Graph *g, const double *due, double least) {
+    const zl_graph *graph = g->whole->graph;
+    const int n = (int)graph->n_declared;
+    int k = n - (int)graph->n_frictional, found = -1;
+    for (; k < n; k++)
+        if (due[k] >= least && (found < 0 || due[k] > due[found])) found = k;
+    return found;
+}
+
+static int has_occurred(const Graph *g, int k, double time) {
+    const Graphed *graph = &g->m.run->graph;
+    const long long n = graph->n_row[k];
+    return n && graph->row_times[k][n - 1] == time;
+}
+
+/* Apply the switches of dry friction that another one of them forces before stops open or close. */
+static int settle(Graph *g, double time, double *x) {
+    const zl_graph *table = g->whole->graph;
+    double formulas[ZL_GUARDS], levels[ZL_GUARDS], armed[ZL_GUARDS], due[ZL_GUARDS];
+    long long turn;
+    for (turn = 0; table->n_frictional && turn < table->n_declared; turn++) {
+        double after[ZL_MOST];
+        int k, status;
+        switches_due(g, x, formulas, levels, armed, due);
+        k = first_due(g, due, FORCED);
+        if (k < 0 || has_occurred(g, k, time)) return GO_ON;
+        shared(g, &table->resets[k], table->reset_places[k], x, after);
+        status = count_switch(g, time, k, x, after);
+        if (status != GO_ON) return status;
+        take_sides(g, after);
+        memcpy(x, after, (size_t)g->whole->n_x * sizeof(double));
+    }
+    return GO_ON;
+}
+
 /* Find the declared switch that occurs at a start, or -1: it is armed, and its guard falls. A switch
    that has just occurred goes over to its other side. */
 static int find_due(Graph *g, int *due) {
@@ -1031,11 +1068,9 @@ static int find_due(Graph *g, int *due) {
     *due = -1;
     if (!n) return GO_ON;
     switches_due(g, x, formulas, levels, armed, forced);
-    for (k = n - (int)g->whole->graph->n_frictional; k < n; k++) {
-        const Graphed *graph = &g->m.run->graph;
-        const long long n_before = graph->n_row[k];
-        if (!(forced[k] > 0.0)) continue;
-        if (n_before && graph->row_times[k][n_before - 1] == g->m.run->start.time)
+    k = first_due(g, forced, 1.0);
+    if (k >= 0) {
+        if (has_occurred(g, k, g->m.run->start.time))
             return tell(&g->m, ZL_ACCUMULATE, g->m.run->start.time, x, k);
         *due = k;
         return GO_ON;
@@ -1210,6 +1245,8 @@ static int switched(Graph *g, double time, const double *x, int k, const double 
             if (status != GO_ON) return status;
             graph->has_current = 0;
             take_sides(g, after);
+            status = settle(g, time, after);
+            if (status != GO_ON) return status;
             return placed(g, time, after, closed, k, -1, 0);
         }
     }

@@ -95,6 +95,9 @@
 /* model/contact.py */
 #define SLOWEST 1.142987391282275e-100
 
+/* model/friction.py */
+#define FORCED 2.0
+
 /* model/numeric/graph_dynamics.py */
 #define SWITCH_ZERO 1e-12
 

@@ -12,9 +12,9 @@ Closed stops are further rows of the same system. Source: [LeineNijmeijer2004]_.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import chain, combinations, product
 
 import casadi as ca
 import numpy as np
@@ -25,6 +25,8 @@ from zeno_orbits.model.drives.friction import STICKS_BELOW
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.stops import Stop, Switch
 
+FORCED = 2.0
+"""Number that tells that a switch of a part occurs before the stops open or close."""
 PER_PART = 5
 """Number of switches of a part: it sticks, and turns or slips in either direction."""
 _STILL, _AGAINST = 1e-11, 1e-12
@@ -125,131 +127,106 @@ class _Held:
     pulls: ca.SX
 
 
-def _held(
-    mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX, sides: ca.SX
-) -> _Held:
-    """Return the forces and accelerations of a mechanism at sides of its parts.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Rows:
+    """The rows of all stops and of all parts with friction, and what acts on them.
 
-    Args:
-        mechanism: The mechanism.
-        drive: Its drive.
-        gaps: The gaps of its stops, ``(n_stops,)``.
+    Attributes:
+        drive: The drive.
         contact: 1 for each stop that is closed, and else 0, ``(n_stops,)``.
-        sides: The sides, 0 for a part that sticks, ``(n_f,)``.
+        delassus: Delassus matrix of the rows, ``(n_stops + n_f, n_stops + n_f)``.
+        drift: Accelerations of the rows without friction and contact, ``(n_stops + n_f,)``.
     """
-    q, v = mechanism.q, mechanism.v
-    extra, extra_rate = drive.states, drive.rates
-    if mechanism.clock is not None:
-        extra = ca.vertcat(extra, mechanism.clock.state)
-        extra_rate = ca.vertcat(extra_rate, mechanism.clock.rate)
-    inverse_mass, free = accelerate(mechanism, ca.substitute(drive.force, drive.sides, sides))
-    rates = ca.vertcat(ca.jtimes(gaps, q, v), drive.sliding)
-    rows = ca.jacobian(rates, v)
-    acts = ca.vertcat(contact, 1 - sides**2)
-    # Rows that do not act become rows of the unit matrix.
-    delassus = ca.mtimes([rows, inverse_mass, rows.T])
-    system = ca.mtimes([ca.diag(acts), delassus, ca.diag(acts)]) + ca.diag(1 - acts**2)
-    drift = ca.mtimes(rows, free) + _drift(mechanism, rates, extra, extra_rate)
-    forces = -ca.mtimes(ca.inv(system), acts * drift)
-    left = drift + ca.mtimes(delassus, acts * forces)
-    n = gaps.numel()
-    return _Held(contacts=forces[:n], lifts=left[:n], forces=forces[n:], pulls=left[n:])
 
+    drive: Drive
+    contact: ca.SX
+    delassus: ca.SX
+    drift: ca.SX
 
-def _needed_at_once(
-    mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX, part: int
-) -> ca.SX:
-    """Return the force that a part needs to stick, with all that is held beside it."""
-    sides = ca.SX(drive.sides)
-    sides[part] = 0
-    return _held(mechanism, drive, gaps, contact, sides).forces[part]
+    @classmethod
+    def of(cls, mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX) -> _Rows:
+        """Return the rows of a mechanism.
 
-
-def _needed_at_rest(
-    mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX, part: int
-) -> ca.SX:
-    """Return the force that a part needs to stick where its rate is zero, or infinity.
-
-    With that force a closed stop may open, and another part that sticks may slip. The combination
-    that fulfils all laws is taken, and of several the one in which most is held. Beyond `_MOST`
-    combinations all is kept as it is: a change then leads to a further event at the same time.
-    """
-    n, m = gaps.numel(), len(drive.frictions)
-    others = [k for k in range(m) if k != part]
-    if 2**n * 3 ** len(others) > _MOST:
-        return _needed_at_once(mechanism, drive, gaps, contact, part)
-    needed = ca.SX(math.inf)
-    ways = product(*[(0, 1)] * n, *[(1, -1, 0)] * len(others))
-    for way in sorted(ways, key=lambda one: sum(one[:n]) + sum(s == 0 for s in one[n:])):
-        sides, fits = ca.SX(drive.sides), ca.SX(1)
-        sides[part] = 0
-        for k, side in zip(others, way[n:], strict=True):
-            was_stuck = drive.sides[k] ** 2 < STICKS_BELOW
-            sides[k] = ca.if_else(was_stuck, side, drive.sides[k])
-        one = _held(mechanism, drive, gaps, ca.SX(way[:n]) * contact, sides)
-        for k, shut in enumerate(way[:n]):
-            fits = ca.logic_and(
-                fits, one.contacts[k] >= 0 if shut else contact[k] * one.lifts[k] >= 0
-            )
-        for k, side in zip(others, way[n:], strict=True):
-            was_slipping = drive.sides[k] ** 2 > STICKS_BELOW
-            obeys = side * one.pulls[k] > 0 if side else one.forces[k] ** 2 <= drive.static[k] ** 2
-            fits = ca.logic_and(fits, ca.logic_or(was_slipping, obeys))
-        sticks = ca.logic_and(fits, one.forces[part] ** 2 <= drive.static[part] ** 2)
-        needed = ca.if_else(sticks, one.forces[part], needed)
-    return needed
-
-
-def friction_switches(
-    mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX
-) -> tuple[Switch, ...]:
-    """Return the switches of all parts: each sticks, and turns or slips up and down.
-
-    Where a guard cannot fall it is 1, and so it is for the other sides of the part.
-
-    Args:
-        mechanism: The mechanism.
-        drive: Its drive.
-        gaps: The gaps of its stops, ``(n_stops,)``.
-        contact: 1 for each stop that is closed, and else 0, ``(n_stops,)``.
-    """
-    found: list[Switch] = []
-    for k, name in enumerate(drive.frictions):
-        side, rate, static = drive.sides[k], drive.sliding[k], drive.static[k]
-        needed = _needed_at_once(mechanism, drive, gaps, contact, k)
-        at_rest = _needed_at_rest(mechanism, drive, gaps, contact, k)
-        slips, sticks = STICKS_BELOW < side**2, side**2 < STICKS_BELOW
-        is_stuck = (1 - side**2) ** 2
-        row = ca.jacobian(rate, mechanism.v)
-        # Any direction that changes the rate alone: the rate is zero up to rounding.
-        stopped = mechanism.v - row.T * (rate / ca.dot(row, row))
-        forward = is_stuck + side * rate
-        found.append(
-            Switch(
-                name=f"stick {name}",
-                guard=forward,
-                armed=ca.logic_and(slips, at_rest**2 <= static**2),
-                v_after=stopped,
-                others_after=_after(drive, k, 0),
-            )
+        Args:
+            mechanism: The mechanism.
+            drive: Its drive.
+            gaps: The gaps of its stops, ``(n_stops,)``.
+            contact: 1 for each stop that is closed, and else 0, ``(n_stops,)``.
+        """
+        q, v, still = mechanism.q, mechanism.v, ca.SX.zeros(drive.sides.numel())
+        extra, extra_rate = drive.states, drive.rates
+        if mechanism.clock is not None:
+            extra = ca.vertcat(extra, mechanism.clock.state)
+            extra_rate = ca.vertcat(extra_rate, mechanism.clock.rate)
+        inverse_mass, free = accelerate(mechanism, ca.substitute(drive.force, drive.sides, still))
+        rates = ca.vertcat(ca.jtimes(gaps, q, v), drive.sliding)
+        rows = ca.jacobian(rates, v)
+        return cls(
+            drive=drive,
+            contact=contact,
+            delassus=ca.mtimes([rows, inverse_mass, rows.T]),
+            drift=ca.mtimes(rows, free) + _drift(mechanism, rates, extra, extra_rate),
         )
-        for word, sign in _WAYS:
-            turns = ca.logic_and(_ASIDE < -sign * side, static**2 < at_rest**2)
-            found.append(
-                Switch(
-                    name=f"turn {name} {word}",
-                    guard=forward,
-                    armed=turns,
-                    others_after=_after(drive, k, sign),
-                )
-            )
-        for word, sign in _WAYS:
-            reserve = is_stuck * (static + sign * needed) + (1 - is_stuck)
-            moved = _after(drive, k, sign)
-            found.append(
-                Switch(name=f"slip {name} {word}", guard=reserve, armed=sticks, others_after=moved)
-            )
-    return tuple(found)
+
+    def held(self, shut: Sequence[int], sides: ca.SX) -> _Held:
+        """Return the forces and accelerations at sides of the parts.
+
+        Args:
+            shut: 0 for each stop that is open, whether it was closed or not, ``(n_stops,)``.
+            sides: The sides, 0 for a part that sticks, ``(n_f,)``.
+        """
+        n = self.contact.numel()
+        acts = ca.vertcat(ca.SX(list(shut)) * self.contact, 1 - sides**2)
+        slipping = ca.vertcat(ca.SX.zeros(n), -self.drive.torques * sides)
+        drift = self.drift + ca.mtimes(self.delassus, slipping)
+        # Rows that do not act become rows of the unit matrix.
+        system = self.delassus * ca.mtimes(acts, acts.T) + ca.diag(1 - acts**2)
+        forces = -ca.mtimes(ca.inv(system), acts * drift)
+        left = drift + ca.mtimes(self.delassus, acts * forces)
+        return _Held(contacts=forces[:n], lifts=left[:n], forces=forces[n:], pulls=left[n:])
+
+    def needed_at_once(self, part: int) -> ca.SX:
+        """Return the force that a part needs to stick, with all that is held beside it."""
+        sides = ca.SX(self.drive.sides)
+        sides[part] = 0
+        return self.held((1,) * self.contact.numel(), sides).forces[part]
+
+    def needed_at_rest(self, part: int) -> ca.SX:
+        """Return the force that a part needs to stick where its rate is zero, or infinity.
+
+        With that force a closed stop may open, and another part that sticks may slip. The
+        combination that fulfils all laws is taken, and of several the one in which most is held.
+        Beyond `_MOST` combinations all is kept as it is: a change then leads to a further event at
+        the same time.
+        """
+        drive, n = self.drive, self.contact.numel()
+        others = [k for k in range(len(drive.frictions)) if k != part]
+        if 2**n * 3 ** len(others) > _MOST:
+            return self.needed_at_once(part)
+        needed = ca.SX(math.inf)
+        ways = product(*[(0, 1)] * n, *[(1, -1, 0)] * len(others))
+        for way in sorted(ways, key=lambda one: sum(one[:n]) + sum(s == 0 for s in one[n:])):
+            one, fits = self._fitting(part, way[:n], dict(zip(others, way[n:], strict=True)))
+            needed = ca.if_else(fits, one.forces[part], needed)
+        return needed
+
+    def _fitting(
+        self, part: int, shut: Sequence[int], beside: Mapping[int, int]
+    ) -> tuple[_Held, ca.SX]:
+        """Return what is held in a combination, and whether that fulfils all laws."""
+        drive, sides, fits = self.drive, ca.SX(self.drive.sides), ca.SX(1)
+        sides[part] = 0
+        for k, side in beside.items():
+            sides[k] = ca.if_else(drive.sides[k] ** 2 < STICKS_BELOW, side, drive.sides[k])
+        one = self.held(shut, sides)
+        for k, is_shut in enumerate(shut):
+            obeys = one.contacts[k] >= 0 if is_shut else self.contact[k] * one.lifts[k] >= 0
+            fits = ca.logic_and(fits, obeys)
+        for k, side in beside.items():
+            obeys = side * one.pulls[k] > 0 if side else one.forces[k] ** 2 <= drive.static[k] ** 2
+            was_slipping = drive.sides[k] ** 2 > STICKS_BELOW
+            fits = ca.logic_and(fits, ca.logic_or(was_slipping, obeys))
+        return one, ca.logic_and(fits, one.forces[part] ** 2 <= drive.static[part] ** 2)
 
 
 _WAYS = (("up", 1), ("down", -1))
@@ -263,18 +240,33 @@ def _after(drive: Drive, part: int, side: int) -> ca.SX:
     return ca.substitute(drive.states, drive.sides[part], ca.SX(side))
 
 
-def friction_due(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrictionFormulas:
+    """The switches of all parts with friction, and what occurs without a zero of a guard.
+
+    Attributes:
+        switches: Each part sticks, and turns or slips up and down. Where a guard cannot fall it is
+            1, and so it is for the other sides of the part.
+        due: A number per switch. It is positive where the switch occurs at the start of an arc, and
+            `FORCED` where it occurs before the stops open or close.
+    """
+
+    switches: tuple[Switch, ...]
+    due: ca.SX
+
+
+def friction_formulas(
     mechanism: HybridLagrangian,
     drive: Drive,
     gaps: ca.SX,
     contact: ca.SX,
     state: ca.SX,
     sizes: ca.SX,
-) -> ca.SX:
-    """Return formulas that are positive where a switch of a part occurs at the start of an arc.
+) -> FrictionFormulas:
+    """Return the switches of all parts, and formulas that tell whether they occur without a zero.
 
     An impact or a jump of a force may leave a part on a side that it does not have. It turns if its
-    rate is against its side. It slips if it has a rate, or if it needs a force above the static one.
+    rate is against its side. It slips if it has a rate, or if it needs more than the static force.
 
     Args:
         mechanism: The mechanism.
@@ -284,22 +276,56 @@ def friction_due(
         state: The state, ``(n_x,)``.
         sizes: Sizes of its entries, ``(n_x,)``.
     """
-    found: list[ca.SX] = []
-    for k in range(len(drive.frictions)):
-        side, rate, static = drive.sides[k], drive.sliding[k], drive.static[k]
-        needed = _needed_at_once(mechanism, drive, gaps, contact, k)
-        sticks = side**2 < STICKS_BELOW
-        size = ca.mtimes(ca.fabs(ca.jacobian(rate, state)), sizes)
-        small, against = _STILL * size, _AGAINST * size
-        beyond = static + _STILL * (ca.fabs(static) + ca.fabs(needed))
-        found.append(ca.SX(0))
-        for _, sign in _WAYS:
-            found.append(ca.logic_and(_ASIDE < -sign * side, side * rate < -against))
-        for _, sign in _WAYS:
-            is_pulled = ca.logic_and(ca.fabs(rate) <= small, beyond < -sign * needed)
-            leaves = ca.logic_or(small < sign * rate, is_pulled)
-            found.append(ca.logic_and(sticks, leaves))
-    return ca.vertcat(*found)
+    rows = _Rows.of(mechanism, drive, gaps, contact)
+    parts = [_of_part(rows, mechanism.v, k, state, sizes) for k in range(len(drive.frictions))]
+    return FrictionFormulas(
+        switches=tuple(chain(*(one.switches for one in parts))),
+        due=ca.vertcat(*(one.due for one in parts)),
+    )
+
+
+def _of_part(rows: _Rows, v: ca.SX, k: int, state: ca.SX, sizes: ca.SX) -> FrictionFormulas:
+    """Return the formulas of one part."""
+    drive = rows.drive
+    name, side, rate, static = drive.frictions[k], drive.sides[k], drive.sliding[k], drive.static[k]
+    needed, at_rest = rows.needed_at_once(k), rows.needed_at_rest(k)
+    slips, sticks = side**2 > STICKS_BELOW, side**2 < STICKS_BELOW
+    is_stuck = (1 - side**2) ** 2
+    row = ca.jacobian(rate, v)
+    # Any direction that changes the rate alone: the rate is zero up to rounding.
+    stopped = v - row.T * (rate / ca.dot(row, row))
+    forward = is_stuck + side * rate
+    size = ca.mtimes(ca.fabs(ca.jacobian(rate, state)), sizes)
+    small, against = _STILL * size, _AGAINST * size
+    beyond = static + _STILL * (ca.fabs(static) + ca.fabs(needed))
+    found = [
+        Switch(
+            name=f"stick {name}",
+            guard=forward,
+            armed=ca.logic_and(slips, at_rest**2 <= static**2),
+            v_after=stopped,
+            others_after=_after(drive, k, 0),
+        )
+    ]
+    due = [ca.SX(0)]
+    for word, sign in _WAYS:
+        is_other = -sign * side > _ASIDE
+        armed, moved = ca.logic_and(is_other, static**2 < at_rest**2), _after(drive, k, sign)
+        turn = f"turn {name} {word}"
+        found.append(Switch(name=turn, guard=forward, armed=armed, others_after=moved))
+        due.append(FORCED * ca.logic_and(is_other, side * rate < -against))
+    for word, sign in _WAYS:
+        reserve, moved = (
+            is_stuck * (static + sign * needed) + (1 - is_stuck),
+            _after(drive, k, sign),
+        )
+        slip = f"slip {name} {word}"
+        found.append(Switch(name=slip, guard=reserve, armed=sticks, others_after=moved))
+        is_pulled = ca.logic_and(ca.fabs(rate) <= small, beyond < -sign * needed)
+        urgency = ca.if_else(static**2 < at_rest**2, FORCED, 1)
+        leaves = ca.if_else(sign * rate > small, FORCED, ca.if_else(is_pulled, urgency, 0))
+        due.append(ca.if_else(sticks, leaves, 0))
+    return FrictionFormulas(switches=tuple(found), due=ca.vertcat(*due))
 
 
 def require_free_rates(mechanism: HybridLagrangian, drive: Drive, stops: Sequence[Stop]) -> None:

@@ -22,10 +22,10 @@ import casadi as ca
 from zeno_orbits.errors import did_you_mean
 from zeno_orbits.model.acceleration import accelerate
 from zeno_orbits.model.drives.auxiliary import Part
-from zeno_orbits.model.drives.circuits import Drive, Held
+from zeno_orbits.model.drives.circuits import Held
 from zeno_orbits.model.drives.waveforms import TimeOrder, time_orders
 from zeno_orbits.model.expressions.kinks import branched
-from zeno_orbits.model.friction import friction_switches, require_free_rates
+from zeno_orbits.model.friction import friction_formulas, require_free_rates
 from zeno_orbits.model.hybrid import CompletedSystem, completed
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.modes import GraphMode, ModeGraph, formulas_of, kinks_of
@@ -167,7 +167,9 @@ def _graph(
         every_gap = ca.vertcat(ca.SX(0, 1), *(stop.gap for stop in stops))
         require_free_rates(one.mechanism, drive, stops)
         contact = ca.SX.zeros(len(stops))
-        added = friction_switches(one.mechanism, drive, every_gap, contact)
+        none = ca.SX.zeros(one.state.numel())
+        formulas = friction_formulas(one.mechanism, drive, every_gap, contact, one.state, none)
+        added = formulas.switches
         switches, causes = (*switches, *added), (*causes, *("" for _ in added))
     if len(stops) > 1 and drive.after_impact is not None:
         raise ValueError(

@@ -10,7 +10,7 @@ from zeno_orbits.integrators.lookups import lookups_in
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.drives.waveforms import TimeOrder
 from zeno_orbits.model.expressions.kinks import branched, is_smooth, sided
-from zeno_orbits.model.friction import PER_PART, friction_due, friction_switches
+from zeno_orbits.model.friction import PER_PART, FrictionFormulas, friction_formulas
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.stops import Stop, Switch, watched
 
@@ -117,26 +117,23 @@ class ModeGraph:
         n = len(self.switches)
         return range(n - PER_PART * self.n_frictions, n)
 
-    def declared(self, contact: ca.SX) -> tuple[Switch, ...]:
-        """Return the declared switches with some stops closed.
-
-        Args:
-            contact: 1 for each stop that is closed, and else 0, ``(n_stops,)``.
-        """
-        own = self.switches[: self.frictional.start]
-        gaps = self._every_gap
-        return (*own, *friction_switches(self.mechanism, self.drive, gaps, contact))
-
-    def due(self, contact: ca.SX, sizes: ca.SX) -> ca.SX:
-        """Return formulas that are positive where a declared switch occurs without a zero.
+    def declared(self, contact: ca.SX, sizes: ca.SX) -> tuple[tuple[Switch, ...], ca.SX]:
+        """Return the declared switches with some stops closed, and what occurs without a zero.
 
         Args:
             contact: 1 for each stop that is closed, and else 0, ``(n_stops,)``.
             sizes: Sizes of the states, ``(n_x,)``.
         """
-        own = ca.SX.zeros(self.frictional.start)
-        parts = self.mechanism, self.drive, self._every_gap, contact
-        return ca.vertcat(own, friction_due(*parts, self.state, sizes))
+        own = self.frictional.start
+        if not self.n_frictions:
+            return self.switches, ca.SX.zeros(own)
+        found = self._of_friction(self.mechanism, self.drive, contact, sizes)
+        return (*self.switches[:own], *found.switches), ca.vertcat(ca.SX.zeros(own), found.due)
+
+    def _of_friction(
+        self, mechanism: HybridLagrangian, drive: Drive, contact: ca.SX, sizes: ca.SX
+    ) -> FrictionFormulas:
+        return friction_formulas(mechanism, drive, self._every_gap, contact, self.state, sizes)
 
     @property
     def _every_gap(self) -> ca.SX:
@@ -154,8 +151,8 @@ class ModeGraph:
         if switch in self.frictional:
             mechanism, drive, _ = self.on_branch(sides)
             contact = ca.SX([float(k in closed) for k in range(len(self.stops))])
-            found = friction_switches(mechanism, drive, self._every_gap, contact)
-            return ca.SX(found[switch - self.frictional.start].guard)
+            found = self._of_friction(mechanism, drive, contact, ca.SX.zeros(self.state.numel()))
+            return ca.SX(found.switches[switch - self.frictional.start].guard)
         if switch < declared:
             return ca.SX(self.switches[switch].guard)
         return self.on_branch(sides)[2][switch - declared]

@@ -1404,6 +1404,7 @@ class ReferenceRun(StopRun):
             self._count_switch(time, name, x, after)
             self.current = None
             self._take_sides(after)
+            after = self._settled(time, after, closed)
             return self._placed(time, after, closed, switch=name)
         self._change_side(s, x)
         if is_kink:
@@ -1424,6 +1425,19 @@ class ReferenceRun(StopRun):
                 mode=Mode.FREE, time=time, state=x, speed=start.speed, height=height, launch=launch
             )
         return self._placed(time, x, closed, flying=flying, flight=flight)
+
+    def _settled(self, time: float, x: Vector, closed: tuple[int, ...]) -> Vector:
+        """Return the state after the switches of dry friction that another one of them forces."""
+        for _ in range(self.graph.n_declared):
+            s = self.graph.due(x, self.sides, closed, forced=True)
+            name = "" if s is None else self.graph.switch_names[s]
+            if s is None or time in self.seen.switches.get(name, ())[-1:]:
+                break
+            after = self.graph.after_switch(s, x)
+            self._count_switch(time, name, x, after)
+            self._take_sides(after)
+            x = after
+        return x
 
     def _resets(self, s: int, time: float, x: Vector, closed: tuple[int, ...]) -> bool:
         """Return True if a switch sets the state: it is declared and armed, and falls or is due."""

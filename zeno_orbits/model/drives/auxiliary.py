@@ -170,6 +170,7 @@ def joined_auxiliary(
         frictions=sum((part.frictions for part in parts), ()),
         sides=ca.vertcat(ca.SX(0, 1), *(part.sides for part in parts)),
         sliding=ca.vertcat(ca.SX(0, 1), *(part.sliding for part in parts)),
+        torques=ca.vertcat(ca.SX(0, 1), *(part.torques for part in parts)),
         static=ca.vertcat(ca.SX(0, 1), *(part.static for part in parts)),
         sticks=ca.vertcat(ca.SX(0, 1), *(part.sticks for part in parts)),
     )

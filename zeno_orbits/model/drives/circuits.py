@@ -127,6 +127,7 @@ class Drive:
         frictions: Names of its parts with dry friction, ``(n_f,)``.
         sides: Sides of these parts, which are states, ``(n_f,)``.
         sliding: Their relative rates, ``(n_f,)``.
+        torques: Their forces while they slip, ``(n_f,)``.
         static: Largest forces while they stick, ``(n_f,)``.
         sticks: 1 for a part that sticks, and else 0, ``(n_f,)``.
     """
@@ -154,6 +155,7 @@ class Drive:
     frictions: tuple[str, ...] = ()
     sides: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     sliding: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    torques: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     static: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     sticks: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
 

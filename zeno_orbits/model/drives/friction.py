@@ -26,9 +26,10 @@ class DryFriction:
 
     The side :math:`s` is 1 or -1 while the part slips, and 0 while it sticks. It is the state
     ``side_NAME`` of the machine and changes at the switches ``stick NAME``, ``turn NAME up``,
-    ``turn NAME down``, ``slip NAME up`` and ``slip NAME down``. Where the rate is zero, the part sticks if the force
-    that it needs for that is at most :math:`T_0`. Friction is bounded, so it gives no impulse in an
-    impact. Just after an impact that changes the rate, the part slips by the sign of its rate.
+    ``turn NAME down``, ``slip NAME up`` and ``slip NAME down``. Where the rate is zero, the part
+    sticks if the force that it needs for that is at most :math:`T_0`. Friction is bounded, so it
+    gives no impulse in an impact. Just after an impact that changes the rate, the part slips by the
+    sign of its rate.
 
     Attributes:
         name: Name of the part in switches, tables and messages.
@@ -111,6 +112,7 @@ class DryFriction:
             frictions=(self.name,),
             sides=self.side,
             sliding=self.rate,
+            torques=ca.SX(self.torque),
             static=self._static,
             sticks=ca.if_else(self.side**2 > STICKS_BELOW, 0, 1),
         )

@@ -18,6 +18,7 @@ from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model.contact import MULTIPLIER_RATE
 from zeno_orbits.model.domains import undefined_ahead
 from zeno_orbits.model.drives.waveforms import LEAST_PART
+from zeno_orbits.model.friction import FORCED
 from zeno_orbits.model.graph import guard_and_flow, system_of_stop
 from zeno_orbits.model.modes import GraphMode, ModeGraph
 from zeno_orbits.model.numeric.binding import bind
@@ -164,7 +165,7 @@ class CompiledGraph:
         sides = ca.SX.sym("side", len(graph.conditions))
         contact = ca.SX.sym("contact", len(graph.stops) if graph.n_frictions else 0)
         conditions, slopes = graph.on_sides(sides)
-        switches = graph.declared(contact)
+        switches, due = graph.declared(contact, size)
         declared = ca.vertcat(*(ca.SX(one.guard) for one in switches))
         armed = ca.vertcat(*(ca.SX(one.armed) for one in switches))
         guards = ca.vertcat(declared, *conditions)
@@ -172,8 +173,8 @@ class CompiledGraph:
         if graph.n_frictions:
             sides = ca.vertcat(sides, contact)
         inputs = [graph.state, self.parameters, size, sides]
-        due = [graph.due(contact, size)] if graph.n_frictions else []
-        outputs = [guards, ca.mtimes(ca.fabs(every), size), armed, *due]
+        outputs = [guards, ca.mtimes(ca.fabs(every), size), armed]
+        outputs += [due] if graph.n_frictions else []
         return dense_function("switches", inputs, outputs)
 
     def gradient(self, mode: GraphMode, switch: int) -> ca.Function:
@@ -505,19 +506,23 @@ class GraphDynamics:
         """True if the machine has a part with dry friction."""
         return self.compiled.graph.n_frictions > 0
 
-    def due(self, x: Vector, sides: tuple[bool, ...], closed: Sequence[int]) -> int | None:
+    def due(
+        self, x: Vector, sides: tuple[bool, ...], closed: Sequence[int], *, forced: bool = False
+    ) -> int | None:
         """Return a declared switch that occurs at the start of an arc without a zero, or ``None``.
 
         Args:
             x: The state, ``(n_x,)``.
             sides: The side of every kink.
             closed: Indices of the closed stops.
+            forced: Whether only switches count that occur before the stops open or close.
         """
         if not self.has_friction:
             return None
         self.guards(x, sides, closed)
-        found = np.flatnonzero(self._switches.due > 0.0)
-        return int(found[0]) if found.size else None
+        due = self._switches.due
+        first = int(np.argmax(due))
+        return first if due[first] >= (FORCED if forced else 1) else None
 
     def guards_along(self, states: Vector, mode: GraphMode) -> tuple[Vector, Vector, Vector]:
         """Return the same as `guards` at many states, ``(n, n_switches)`` each.

@@ -280,7 +280,10 @@ def _margins_outside(
         if key[0] is not MarginKind.SWITCH_MISS:
             return True
         switch = graph.switch_names.index(key[1])
-        return switch >= graph.n_declared or graph.guards(x, *arc.mode_in(graph)[::-1])[2][switch] > 0.0
+        return (
+            switch >= graph.n_declared
+            or graph.guards(x, *arc.mode_in(graph)[::-1])[2][switch] > 0.0
+        )
 
     lows = _lows(flown, conditions, found.events, phases)
     for arc, place, known, low in zip(flown, places, conditions, lows, strict=True):
