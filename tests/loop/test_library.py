@@ -28,7 +28,7 @@ from zeno_orbits.integrators import (
 )
 from zeno_orbits.loop import whole_source
 from zeno_orbits.loop.source import FLAGS, HERE, LIBRARIES
-from zeno_orbits.model import contact
+from zeno_orbits.model import contact, friction
 from zeno_orbits.model.numeric import admission, graph_dynamics
 from zeno_orbits.simulation import (
     accumulations,

@@ -247,16 +247,14 @@ def _first(
             and (name != "impact" or time >= late)
         ]
         if fallen:
-            times = {
-                name: float(
-                    brentq(
-                        lambda s, g=guards[name]: g(expm(s * rate) @ state), 0.0, step, xtol=1e-15
-                    )
-                )
-                for name in fallen
-            }
+            times = {name: _zero(guards[name], rate, state, step) for name in fallen}
             name = min(times, key=lambda one: times[one])
             return time + times[name], name
         time, state, known, is_first = time + step, then, now, False
         step = min(step * _GROW, _LONGEST)
     return None
+
+
+def _zero(guard: Callable[[Array], float], rate: Array, y: Array, step: float) -> float:
+    """Return when a guard is zero within a step [s]."""
+    return float(brentq(lambda s: guard(expm(s * rate) @ y), 0.0, step, xtol=1e-15))

@@ -255,6 +255,30 @@ class FrictionFormulas:
     due: ca.SX
 
 
+def friction_guards(
+    mechanism: HybridLagrangian, drive: Drive, gaps: ca.SX, contact: ca.SX
+) -> tuple[ca.SX, ...]:
+    """Return the guards of the switches of all parts.
+
+    Args:
+        mechanism: The mechanism.
+        drive: Its drive.
+        gaps: The gaps of its stops, ``(n_stops,)``.
+        contact: 1 for each stop that is closed, and else 0, ``(n_stops,)``.
+    """
+    rows = _Rows.of(mechanism, drive, gaps, contact)
+    return tuple(chain(*(_guards(rows, k) for k in range(len(drive.frictions)))))
+
+
+def _guards(rows: _Rows, k: int) -> list[ca.SX]:
+    """Return the guards of a part: it sticks, turns up and down, and slips up and down."""
+    drive = rows.drive
+    side, rate, static = drive.sides[k], drive.sliding[k], drive.static[k]
+    is_stuck, needed = (1 - side**2) ** 2, rows.needed_at_once(k)
+    reserves = [is_stuck * (static + sign * needed) + (1 - is_stuck) for _, sign in _WAYS]
+    return [is_stuck + side * rate] * (1 + len(_WAYS)) + reserves
+
+
 def friction_formulas(
     mechanism: HybridLagrangian,
     drive: Drive,
@@ -290,11 +314,10 @@ def _of_part(rows: _Rows, v: ca.SX, k: int, state: ca.SX, sizes: ca.SX) -> Frict
     name, side, rate, static = drive.frictions[k], drive.sides[k], drive.sliding[k], drive.static[k]
     needed, at_rest = rows.needed_at_once(k), rows.needed_at_rest(k)
     slips, sticks = side**2 > STICKS_BELOW, side**2 < STICKS_BELOW
-    is_stuck = (1 - side**2) ** 2
+    forward, *_, up, down = _guards(rows, k)
     row = ca.jacobian(rate, v)
     # Any direction that changes the rate alone: the rate is zero up to rounding.
     stopped = v - row.T * (rate / ca.dot(row, row))
-    forward = is_stuck + side * rate
     size = ca.mtimes(ca.fabs(ca.jacobian(rate, state)), sizes)
     small, against = _STILL * size, _AGAINST * size
     beyond = static + _STILL * (ca.fabs(static) + ca.fabs(needed))
@@ -314,11 +337,8 @@ def _of_part(rows: _Rows, v: ca.SX, k: int, state: ca.SX, sizes: ca.SX) -> Frict
         turn = f"turn {name} {word}"
         found.append(Switch(name=turn, guard=forward, armed=armed, others_after=moved))
         due.append(FORCED * ca.logic_and(is_other, side * rate < -against))
-    for word, sign in _WAYS:
-        reserve, moved = (
-            is_stuck * (static + sign * needed) + (1 - is_stuck),
-            _after(drive, k, sign),
-        )
+    for (word, sign), reserve in zip(_WAYS, (up, down), strict=True):
+        moved = _after(drive, k, sign)
         slip = f"slip {name} {word}"
         found.append(Switch(name=slip, guard=reserve, armed=sticks, others_after=moved))
         is_pulled = ca.logic_and(ca.fabs(rate) <= small, beyond < -sign * needed)

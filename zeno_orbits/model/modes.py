@@ -10,7 +10,7 @@ from zeno_orbits.integrators.lookups import lookups_in
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.drives.waveforms import TimeOrder
 from zeno_orbits.model.expressions.kinks import branched, is_smooth, sided
-from zeno_orbits.model.friction import PER_PART, FrictionFormulas, friction_formulas
+from zeno_orbits.model.friction import PER_PART, friction_formulas, friction_guards
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.stops import Stop, Switch, watched
 
@@ -58,6 +58,9 @@ class ModeGraph:
         default_factory=dict["tuple[tuple[bool, ...], tuple[int, ...]]", "_Branch"],
         compare=False,
         repr=False,
+    )
+    _frictions: dict[GraphMode, tuple[ca.SX, ...]] = field(
+        default_factory=dict["GraphMode", "tuple[ca.SX, ...]"], compare=False, repr=False
     )
 
     @property
@@ -127,13 +130,19 @@ class ModeGraph:
         own = self.frictional.start
         if not self.n_frictions:
             return self.switches, ca.SX.zeros(own)
-        found = self._of_friction(self.mechanism, self.drive, contact, sizes)
+        parts = self.mechanism, self.drive, self._every_gap, contact
+        found = friction_formulas(*parts, self.state, sizes)
         return (*self.switches[:own], *found.switches), ca.vertcat(ca.SX.zeros(own), found.due)
 
-    def _of_friction(
-        self, mechanism: HybridLagrangian, drive: Drive, contact: ca.SX, sizes: ca.SX
-    ) -> FrictionFormulas:
-        return friction_formulas(mechanism, drive, self._every_gap, contact, self.state, sizes)
+    def _guards_of_friction(self, mode: GraphMode) -> tuple[ca.SX, ...]:
+        """Return the guards of the switches of dry friction in a mode."""
+        if mode not in self._frictions:
+            closed, sides = mode
+            mechanism, drive, _ = self.on_branch(sides)
+            contact = ca.SX([float(k in closed) for k in range(len(self.stops))])
+            found = friction_guards(mechanism, drive, self._every_gap, contact)
+            self._frictions[mode] = found
+        return self._frictions[mode]
 
     @property
     def _every_gap(self) -> ca.SX:
@@ -149,10 +158,7 @@ class ModeGraph:
         """
         declared = len(self.switches)
         if switch in self.frictional:
-            mechanism, drive, _ = self.on_branch(sides)
-            contact = ca.SX([float(k in closed) for k in range(len(self.stops))])
-            found = self._of_friction(mechanism, drive, contact, ca.SX.zeros(self.state.numel()))
-            return ca.SX(found.switches[switch - self.frictional.start].guard)
+            return self._guards_of_friction((closed, sides))[switch - self.frictional.start]
         if switch < declared:
             return ca.SX(self.switches[switch].guard)
         return self.on_branch(sides)[2][switch - declared]

@@ -1398,7 +1398,7 @@ class ReferenceRun(StopRun):
         closed = self._closed(start)
         name, is_kink = self.graph.switch_names[s], s >= self.graph.n_declared
         was_above = bool(self._signs()[s])
-        if self._resets(s, time, x, closed):
+        if self._resets(s, x, closed):
             after = self.graph.after_switch(s, x)
             self.flipped = math.nan, frozenset()
             self._count_switch(time, name, x, after)
@@ -1439,7 +1439,7 @@ class ReferenceRun(StopRun):
             x = after
         return x
 
-    def _resets(self, s: int, time: float, x: Vector, closed: tuple[int, ...]) -> bool:
+    def _resets(self, s: int, x: Vector, closed: tuple[int, ...]) -> bool:
         """Return True if a switch sets the state: it is declared and armed, and falls or is due."""
         if s >= self.graph.n_declared:
             return False

@@ -501,6 +501,16 @@ class GraphDynamics:
             return np.zeros(0), np.zeros(0), np.zeros(0)
         return self._switches(x, self.own.states(x.size) + np.abs(x), sides, closed)
 
+    def guards_in(self, mode: GraphMode, x: Vector) -> tuple[Vector, Vector, Vector]:
+        """Return the same as `guards` in a mode.
+
+        Args:
+            mode: The mode.
+            x: The state, ``(n_x,)``.
+        """
+        closed, sides = mode
+        return self.guards(x, sides, closed)
+
     @property
     def has_friction(self) -> bool:
         """True if the machine has a part with dry friction."""
