@@ -240,7 +240,10 @@ class SlidingError(SimulationError):
         self.args = (f"{self}. {_SMOOTHED}",)
 
 
-_SMOOTHED = "For dry friction, write `ca.tanh(v / 1e-3)` in place of `ca.sign(v)`."
+_SMOOTHED = (
+    "For dry friction, declare the part `zo.DryFriction(name, rate=v, torque=T)` in place of the "
+    "force `-T * ca.sign(v)`."
+)
 """Remedy for a motion that slides."""
 
 

@@ -278,7 +278,8 @@ def test_a_motion_that_slides_is_refused_with_a_formula_that_does_not(tmp_path: 
         file.write_text(text.replace("= -v", f"= -3 * {friction}"), encoding="utf-8")
         answer = ask("simulate", file, "--until", "20")
         assert answer.code == code
-        assert ("write `ca.tanh(v / 1e-3)` in place of `ca.sign(v)`" in answer.err) == bool(code)
+        told = "declare the part `zo.DryFriction(name, rate=v, torque=T)` in place of the force"
+        assert (told in answer.err) == bool(code)
 
 
 def test_the_file_without_a_mistake_is_accepted(tmp_path: Path) -> None:

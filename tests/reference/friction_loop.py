@@ -126,7 +126,7 @@ class LinearMachine:
     def events(self, y: Array, until: float) -> Iterator[tuple[float, str]]:
         """Yield the events of a motion from a state without contact."""
         n, time, closed, was_released = self.n, 0.0, False, False
-        sides, _ = self._mode(y, closed=False)
+        sides, _ = self._mode(y, (), closed=False)
         while True:
             guards = self._guards(closed, sides)
             rate, _ = self.system(closed, sides)
@@ -148,7 +148,11 @@ class LinearMachine:
                 if e == 0.0:
                     yield time, "zeno"
                 closed = e == 0.0
-            sides, closed = self._mode(y, closed=closed and name != "release")
+            kept = tuple(
+                side if name != f"rate {j}" and name != f"force {j}" else None
+                for j, side in enumerate(sides)
+            )
+            sides, closed = self._mode(y, kept, closed=closed and name != "release")
             yield from ((time, one) for one in _changes(before, sides))
             was_released = was_closed and not closed
             if was_released:
@@ -173,8 +177,19 @@ class LinearMachine:
     def _rate(self, j: int, y: Array) -> float:
         return float(self.rows[j] @ y[self.n : 2 * self.n] - self.belts[j])
 
-    def _mode(self, y: Array, *, closed: bool) -> tuple[tuple[int, ...], bool]:
-        """Return sides and contact just after an event: the only ones that fulfil the laws."""
+    def _mode(
+        self, y: Array, kept: tuple[int | None, ...], *, closed: bool
+    ) -> tuple[tuple[int, ...], bool]:
+        """Return sides and contact just after an event, which fulfil the laws.
+
+        With a static friction above the other several may. The sides that the event does not
+        concern then stay if they can.
+
+        Args:
+            y: The state.
+            kept: The sides before the event, ``None`` for that of its part.
+            closed: Whether the stop was closed.
+        """
         n, m = self.n, len(self.rows)
         rates = [self._rate(j, y) for j in range(m)]
         ways = [(0, 1, -1) if abs(one) < _ZERO else (int(np.sign(one)),) for one in rates]
@@ -189,7 +204,11 @@ class LinearMachine:
             if fits:
                 found.append((sides, shut))
         assert found
-        return found[0]
+
+        def changes(one: tuple[tuple[int, ...], bool]) -> int:
+            return sum(k is not None and k != s for k, s in zip(kept, one[0], strict=bool(kept)))
+
+        return min(found, key=changes)
 
     def _fits(
         self, y: Array, rate: Array, forces: Array, rates: list[float], sides: tuple[int, ...]

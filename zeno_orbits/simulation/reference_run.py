@@ -1329,7 +1329,7 @@ class ReferenceRun(StopRun):
 
     def _take_frictions(self, values: Vector, levels: Vector) -> None:
         """Take the sides of the switches of dry friction anew: they depend on the closed stops."""
-        if not self.graph.has_friction:
+        if not self.graph.sides_of_friction:
             return
         first = self.graph.compiled.graph.frictional.start
         anew = range(first, self.graph.n_declared)

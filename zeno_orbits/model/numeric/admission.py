@@ -76,9 +76,25 @@ def require_start(
     """
     graph = graph_of(system)
     require_admissible(graph.first, x)
+    _require_sides(graph, x, subject)
     for k, name in enumerate(graph.stop_names):
         view = graph.view(graph.open_mode, k)
         require_outside(view, x, contact, name, subject=subject)
+
+
+def _require_sides(graph: GraphDynamics, x: Vector, subject: str) -> None:
+    """Reject a side of a part with dry friction that is none.
+
+    Raises:
+        InputError: If there is one. The message names its state.
+    """
+    for k in graph.sides_of_friction:
+        if x[k] not in (-1.0, 0.0, 1.0):
+            name = graph.state_names[k]
+            raise InputError(
+                f"{subject} must have `{name}` = 1 or -1 where the part slips, or 0 where it "
+                f"sticks or its rate decides, but it is {x[k]:g}."
+            )
 
 
 def inside_stop(gap: float, stop: str = "", subject: str = "Argument `state`") -> InputError:

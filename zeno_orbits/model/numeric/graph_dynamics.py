@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model.contact import MULTIPLIER_RATE
 from zeno_orbits.model.domains import undefined_ahead
@@ -213,6 +214,22 @@ class CompiledGraph:
         return dense_function("times", [self.parameters], [lower, upper, least])
 
     @cached_property
+    def sides_of_friction(self) -> tuple[int, ...]:
+        """Indices of the states that are sides of parts with dry friction."""
+        state, sides = ca.vertsplit(self.graph.state), self.graph.drive.sides
+        return tuple(k for k, one in enumerate(state) if ca.depends_on(sides, one))
+
+    @cached_property
+    def reserves(self) -> ca.Function:
+        """``p -> static force less that of slipping``, of parts where no state changes it."""
+        graph, drive = self.graph, self.graph.drive
+        found = [
+            ca.SX(0) if ca.depends_on(one, graph.state) else one
+            for one in ca.vertsplit(drive.static - drive.torques)
+        ]
+        return dense_function("reserves", [self.parameters], [ca.vertcat(ca.SX(0, 1), *found)])
+
+    @cached_property
     def switches_along(self) -> Columns:
         """The functions of `switches`, for many states."""
         return Columns(self.switches)
@@ -324,12 +341,15 @@ class GraphDynamics:
             lower, upper, least = (one.full().ravel() for one in compiled.times(self.p))
             for k, order in enumerate(compiled.graph.time_orders):
                 order.require(float(lower[k]), float(upper[k]), float(least[k]))
+        if compiled.graph.n_frictions:
+            self._require_statics()
         self.state_names = compiled.state_names
         graph = compiled.graph
         self.stop_names = tuple(stop.name for stop in graph.stops)
         self.switch_names = graph.switch_names
         self.n_declared = len(graph.switches)
         self.causes = graph.causes
+        self.sides_of_friction = compiled.sides_of_friction
         self._views: dict[tuple[GraphMode, int], HybridDynamics] = {}
         self._flows: dict[tuple[GraphMode, int, bool], CompiledFlow] = {}
         self._scales: dict[int, CharacteristicScales] = {}
@@ -337,6 +357,21 @@ class GraphDynamics:
         self._coupling = Call(compiled.coupling, self.p)
         self._resets = [Call(one, self.p) for one in compiled.resets]
         self.open_mode: GraphMode = ((), (True,) * len(graph.conditions))
+
+    def _require_statics(self) -> None:
+        """Refuse a static friction below that of slipping: the part could do neither.
+
+        Raises:
+            InputError: If there is one. The message names the part.
+        """
+        left = self.compiled.reserves(self.p).full().ravel()
+        for name, reserve in zip(self.compiled.graph.drive.frictions, left, strict=True):
+            if reserve < 0.0:
+                wanted = "must be at least its friction while it slips"
+                raise InputError(
+                    f"Argument `static` of the friction `{name}` {wanted}, but at these values it "
+                    f"is {-reserve:g} less."
+                )
 
     def at(self, values: Sequence[float] | Vector) -> GraphDynamics:
         """Return the graph at other parameter values nearby, with the scales of this graph.
@@ -511,11 +546,6 @@ class GraphDynamics:
         closed, sides = mode
         return self.guards(x, sides, closed)
 
-    @property
-    def has_friction(self) -> bool:
-        """True if the machine has a part with dry friction."""
-        return self.compiled.graph.n_frictions > 0
-
     def due(
         self, x: Vector, sides: tuple[bool, ...], closed: Sequence[int], *, forced: bool = False
     ) -> int | None:
@@ -527,7 +557,7 @@ class GraphDynamics:
             closed: Indices of the closed stops.
             forced: Whether only switches count that occur before the stops open or close.
         """
-        if not self.has_friction:
+        if not self.sides_of_friction:
             return None
         self.guards(x, sides, closed)
         due = self._switches.due

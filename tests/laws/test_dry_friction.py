@@ -1,0 +1,305 @@
+"""Dry friction: closed forms, another event loop, and wrong declarations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.reference.friction_loop import LinearMachine
+from tests.support.mechanisms import machine_of
+from zeno_orbits.integrators import RungeKutta
+from zeno_orbits.orbits import orbit_from_json
+from zeno_orbits.simulation import SimulationSettings, SimulationTask, by_reference
+from zeno_orbits.simulation.compiled.executions import by_loop
+
+ROUNDING = 1e-12
+"""Relative error of closed forms: steps of the integrator are a tenth as exact."""
+PLASTIC = 1e-4
+"""The other loop ends a sequence of impacts at a speed of 1e-6 m/s, so its Zeno times are early."""
+
+
+def slider_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+    """Return a mass on a spring, on a surface that may move, with dry friction."""
+    x, v = ca.SX.sym("x"), ca.SX.sym("v")
+    mass = zo.HybridLagrangian.from_energies(
+        q=x, v=v, kinetic=p["m"] * v**2 / 2, potential=p["k"] * x**2 / 2
+    )
+    pad = zo.DryFriction("pad", rate=v - p["belt"], torque=p["T"], static=p["T0"])
+    return zo.hybrid_system(mass, (zo.no_drive(mass), pad))
+
+
+def slider(*, belt: float = 0.0, torque: float = 1.0, static: float = 1.0) -> zo.Problem:
+    values = {"m": 1.3, "k": 4.0, "belt": belt, "T": torque, "T0": static}
+    return machine_of(slider_model, {"x": "m", "v": "m/s", "side_pad": "1"}, values)
+
+
+@pytest.mark.usefixtures("both_loops")
+def test_a_block_on_a_belt_sticks_and_slips_in_closed_form() -> None:
+    belt, torque, static, stiffness = 0.3, 1.0, 1.5, 4.0
+    w = math.sqrt(stiffness / 1.3)
+    found = zo.simulate(
+        slider(belt=belt, torque=torque, static=static), start={"v": belt}, until=12.0
+    )
+    leave, middle = static / stiffness, torque / stiffness
+    slips = 2 * (math.pi - math.atan((leave - middle) * w / belt)) / w
+    back = 2 * middle - leave
+    time, wanted = leave / belt, list[tuple[str, float, float]]()
+    for _ in range(3):
+        wanted += [("slip pad down", time, leave), ("stick pad", time + slips, back)]
+        time += slips + (leave - back) / belt
+    for event, (name, when, place) in zip(found.switches, wanted, strict=False):
+        assert event.name == name
+        assert event.time == pytest.approx(when, rel=ROUNDING)
+        assert event.state_plus == pytest.approx(
+            [place, belt, 0.0 if name == "stick pad" else -1.0], rel=ROUNDING
+        )
+    assert len(found.switches) >= 6
+
+
+@pytest.mark.usefixtures("both_loops")
+@pytest.mark.parametrize("start", [-3.1, 3.1])
+def test_dry_friction_takes_a_fixed_amplitude_in_every_swing(start: float) -> None:
+    torque, stiffness = 1.0, 4.0
+    found = zo.simulate(slider(torque=torque), start={"x": start}, until=30.0)
+    half, band, place, time = math.pi / math.sqrt(stiffness / 1.3), torque / stiffness, start, 0.0
+    # The first event at rest takes the side of the motion.
+    assert found.switches[0].name == f"slip pad {'down' if start > 0 else 'up'}"
+    for event in found.switches[1:]:
+        place, time = -math.copysign(abs(place) - 2 * band, place), time + half
+        assert event.time == pytest.approx(time, rel=ROUNDING)
+        assert event.state_plus[0] == pytest.approx(place, rel=ROUNDING)
+        word = "stick" if abs(place) <= band else "turn"
+        assert event.name.startswith(word)
+    assert abs(place) <= band
+    assert found.end_state == pytest.approx([place, 0.0, 0.0], abs=ROUNDING)
+    assert found.end_state[1] == 0.0
+
+
+def test_rest_by_friction_is_a_range_of_places() -> None:
+    band = 1.0 / 4.0
+    for place in (-0.99 * band, 0.4 * band, 0.99 * band):
+        found = zo.simulate(slider(), start={"x": place}, until=5.0)
+        assert not found.events
+        assert found.end_state == pytest.approx([place, 0.0, 0.0], abs=1e-15)
+    assert zo.simulate(slider(), start={"x": 1.01 * band}, until=5.0).switches
+
+
+def test_the_limit_cycle_of_a_belt_forgets_every_disturbance() -> None:
+    problem = zo.load_problem("stick_slip")
+    orbit = zo.find_orbit_by_shooting(problem).unwrap()
+    x1, x2, w, belt = 0.125, 0.375, 2.0, 0.3
+    slips = 2 * (math.pi - math.atan((x2 - 0.25) * w / belt)) / w
+    assert orbit.period == pytest.approx((x2 - x1) / belt + slips, rel=ROUNDING)
+    assert zo.floquet_multipliers(orbit, problem=problem).values == (0.0, 0.0)
+    assert zo.verify(orbit, problem=problem).passed
+
+
+def test_an_orbit_of_another_friction_is_not_verified() -> None:
+    problem = zo.load_problem("stick_slip")
+    orbit = zo.find_orbit_by_shooting(problem, parameters={"T_static": 1.4}).unwrap()
+    values = {"parameters": dict(problem.values().parameters)}
+    false = orbit_from_json({**orbit.as_json(), **values}, Path("orbit.json"))
+    assert not zo.verify(false, problem=problem).passed
+
+
+def pendulum_with_sign(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+    """Return the pendulum with friction as a kink, which may turn but not stick."""
+    smooth = zo.load_problem("motor_pendulum").model(p)
+    links = smooth.mechanism
+    friction = zo.Auxiliary(
+        states=(unused := ca.SX.sym("unused")),
+        rate=-unused,
+        force=ca.vertcat(-p["T_gear"] * ca.sign(links.v[0]), 0),
+        loss=p["T_gear"] * ca.fabs(links.v[0]),
+    )
+    return zo.hybrid_system(links, (smooth.drive, friction), p["restitution"])
+
+
+def test_friction_that_only_turns_is_that_of_a_sign() -> None:
+    problem = zo.load_problem("sticking_pendulum")
+    found = zo.simulate(problem, until=5.0)
+    units = dict(zip(problem.state_names[:-1], problem.state_units, strict=False))
+    values = problem.values()
+    kinked = machine_of(
+        pendulum_with_sign,
+        units | {"unused": "1"},
+        {k: v for k, v in values.numbers.items() if k != "T_static"},
+    )
+    beside = zo.simulate(kinked, start=dict(problem.starts[0]), until=5.0)
+    assert [e.time for e in found.zeno_points] == pytest.approx(
+        [e.time for e in beside.zeno_points], rel=1e-10
+    )
+    assert found.end_state[:-1] == pytest.approx(beside.end_state[:-1], rel=1e-8, abs=1e-8)
+
+
+@pytest.mark.slow
+def test_the_pendulum_with_friction_begins_at_the_one_without() -> None:
+    without = zo.find_orbit_by_shooting("sticking_pendulum", parameters={"T_gear": 0.0}).unwrap()
+    assert without.period == pytest.approx(1.81371293903044, rel=1e-11)
+    orbit = zo.find_orbit_by_shooting("sticking_pendulum").unwrap()
+    assert orbit.period < without.period
+    certificate = zo.verify(orbit)
+    assert certificate.passed, certificate.verdict()
+
+
+def kicked_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+    """Return a ball above a table that slides, coupled to it by a part of its mass."""
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    pair = zo.HybridLagrangian.from_energies(
+        q=q,
+        v=v,
+        kinetic=ca.sumsqr(v) / 2 + p["c"] * v[0] * v[1],
+        potential=9.81 * q[1],
+        gap=q[1],
+    )
+    table = zo.DryFriction("table", rate=v[0], torque=0.5, static=9.0)
+    return zo.hybrid_system(pair, (zo.no_drive(pair), table), p["e"])
+
+
+@pytest.mark.parametrize(("coupling", "moves"), [(0.0, False), (0.4, True)])
+def test_an_impact_moves_a_part_that_sticks_only_if_it_gives_it_a_rate(
+    coupling: float, moves: bool
+) -> None:
+    units = {"x": "m", "y": "m", "vx": "m/s", "vy": "m/s", "side_table": "1"}
+    problem = machine_of(kicked_model, units, {"c": coupling, "e": 0.5})
+    height = 0.3
+    found = zo.simulate(problem, start={"y": height}, until=0.3)
+    # While the table sticks, the ball falls freely.
+    speed = math.sqrt(2 * 9.81 * height)
+    assert found.impacts[0].time == pytest.approx(speed / 9.81, rel=ROUNDING)
+    assert found.impacts[0].approach_rate == pytest.approx(-speed, rel=ROUNDING)
+    # Bounded friction gives no impulse: momentum along x is kept.
+    after = found.impacts[0].state_plus
+    assert after[2] == pytest.approx(-coupling * 1.5 * speed, abs=1e-12)
+    names = [one.name for one in found.switches]
+    assert names == (["slip table down"] if moves else [])
+    assert all(one.time == found.impacts[0].time for one in found.switches)
+
+
+def problem_of(machine: LinearMachine) -> zo.Problem:
+    """Return a linear machine as a problem."""
+
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        n = machine.n
+        q, v = ca.SX.sym("q", n), ca.SX.sym("v", n)
+        constant, inductance, resistance, voltage = map(ca.SX, machine.circuit)
+        mechanism = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.bilin(ca.DM(machine.mass), v) / 2,
+            potential=ca.bilin(ca.DM(machine.stiffness), q) / 2 - ca.dot(machine.load, q),
+            passive_force=-ca.mtimes(ca.DM(machine.damping), v),
+            gap=ca.dot(machine.normal, q),
+        )
+        bank = zo.MotorBank(
+            selection=ca.SX(machine.motor),
+            resistance=resistance,
+            inductance=inductance,
+            torque_constant=constant,
+            emf_constant=constant,
+            voltage=voltage,
+        )
+        frictions = [
+            zo.DryFriction(f"f{k}", rate=ca.dot(row, v) - belt, torque=torque, static=static)
+            for k, (row, belt, torque, static) in enumerate(
+                zip(
+                    machine.rows,
+                    machine.belts.tolist(),
+                    machine.torques.tolist(),
+                    machine.statics.tolist(),
+                    strict=True,
+                )
+            )
+        ]
+        parts = (zo.full_drive(mechanism, bank), *frictions)
+        return zo.hybrid_system(mechanism, parts, p["e"])
+
+    units = {
+        f"{part}{k}": unit
+        for part, unit in zip("qv", ("m", "m/s"), strict=True)
+        for k in range(machine.n)
+    }
+    units |= {"i": "A"} | {f"side_f{k}": "1" for k in range(len(machine.rows))}
+    return machine_of(model, units, {"e": machine.restitution})
+
+
+def start_of(machine: LinearMachine, seed: int) -> np.ndarray:
+    """Return a random state without contact, ``(2 n,)``."""
+    random = np.random.default_rng(seed)
+    q = random.normal(size=machine.n)
+    q = q if machine.normal @ q > 0.0 else -q
+    return np.concatenate([q, random.normal(size=machine.n)])
+
+
+def without_impacts(events: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
+    """Return the other events, those at one time by their names."""
+    others = [one for one in events if one[1] != "impact"]
+    return sorted(others, key=lambda one: (round(one[0], 7), one[1]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 8, 13, 33, 42, 53, 61, 72, 79, 85])
+def test_random_machines_follow_another_event_loop(seed: int) -> None:
+    machine, until = LinearMachine.random(seed), 8.0
+    problem, x = problem_of(machine), start_of(machine, 1000 + seed)
+    graph, n_parts = problem.graph_dynamics(problem.values()), len(machine.rows)
+    task = SimulationTask(
+        dynamics=graph,
+        state=np.concatenate([x, np.zeros(1 + n_parts)]),
+        until=until,
+        settings=SimulationSettings(engine=RungeKutta()),
+    )
+    found, reference = by_loop(task), by_reference(task)
+    assert found is not None
+    assert [one.time for one in found.events] == [one.time for one in reference.events]
+    assert np.array_equal(found.end_state, reference.end_state)
+    kinds = {"Impact": "impact", "ZenoPoint": "zeno", "Release": "release"}
+    events = [
+        (one.time, kinds.get(type(one).__name__) or str(getattr(one, "name", "")))
+        for one in found.events
+        if one.time > 0.0
+    ]
+    wanted = list(machine.events(np.concatenate([x, [0.0, 1.0]]), until))
+    events, wanted = without_impacts(events), without_impacts(wanted)
+    assert [name for _, name in events] == [name for _, name in wanted]
+    assert [time for time, _ in events] == pytest.approx([t for t, _ in wanted], abs=PLASTIC)
+
+
+def test_wrong_declarations_are_refused() -> None:
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    pair = zo.HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=ca.sumsqr(v) / 2, potential=ca.SX(0), gap=q[1]
+    )
+
+    def built(rate: ca.SX, torque: float = 1.0, static: float | None = None) -> None:
+        part = zo.DryFriction("pad", rate=rate, torque=torque, static=static)
+        zo.hybrid_system(pair, (zo.no_drive(pair), part), ca.SX(0.5))
+
+    for rate, told in (
+        (v[1], "`pad` must be free, but it is zero with the closed stop `stop`"),
+        (v[0] ** 2, "must be affine in the velocities"),
+        (q[0], "must be affine in the velocities"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            built(rate)
+    with pytest.raises(ValueError, match="`torque` must be a number >= 0"):
+        built(v[0], -1.0)
+    with pytest.raises(ValueError, match=r"`static` must be at least the torque 1, but it is 0\.5"):
+        built(v[0], 1.0, 0.5)
+    with pytest.raises(zo.InputError, match="friction `pad` must be at least"):
+        zo.simulate(slider(torque=1.0, static=0.9), until=1.0)
+    with pytest.raises(zo.InputError, match="`side_pad` = 1 or -1"):
+        zo.simulate(slider(), start={"x": 1.0, "side_pad": 0.3}, until=1.0)
+
+
+def test_a_wrong_side_of_a_start_is_set_right_by_its_rate() -> None:
+    for side in (-1.0, 0.0, 1.0):
+        found = zo.simulate(slider(), start={"v": 1.0, "side_pad": side}, until=0.1)
+        assert found.end_state[-1] == 1.0
+        assert [one.time for one in found.switches] == ([0.0] if side < 1.0 else [])
