@@ -248,6 +248,12 @@ OWN: dict[str, dict[str, Callable[[], Any]]] = {
         "gain": lambda: {"g": {"v": 0.1}},
         "centre": lambda: {"v": 1.0},
     },
+    "DryFriction": {
+        "name": lambda: "pad",
+        "rate": lambda: ca.SX.sym("v"),
+        "torque": lambda: 1.0,
+        "static": lambda: None,
+    },
     "Hold": {
         "states": lambda: ca.SX.sym("u"),
         "at": lambda: "zeno stop",
