@@ -89,7 +89,7 @@ def _require_sides(graph: GraphDynamics, x: Vector, subject: str) -> None:
         InputError: If there is one. The message names its state.
     """
     for k in graph.sides_of_friction:
-        if x[k] not in (-1.0, 0.0, 1.0):
+        if not min(abs(x[k] - side) for side in (-1.0, 0.0, 1.0)) <= START_OFF:
             name = graph.state_names[k]
             raise InputError(
                 f"{subject} must have `{name}` = 1 or -1 where the part slips, or 0 where it "
