@@ -25,5 +25,7 @@ GRAPHS = {
     "limited_pendulum": 4.0,
     "sampled_pendulum": 4.0,
     "shaken_block": 12.0,
+    "sticking_pendulum": 4.0,
+    "stick_slip": 30.0,
 }
 """The bundled problems with several stops or switches, and a time with their events [s]."""
