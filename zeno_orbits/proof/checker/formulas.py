@@ -129,7 +129,7 @@ class Formulas(NamedTuple):
 
     Attributes:
         function: Flows, contact quantities, impulse direction, restitution and constraints.
-        law: The impact law.
+        law: The impact law, a function of state, parameters, restitution and gap rate.
         inertia: The mass matrix.
         digest: SHA-256 of the instructions of `function`.
         n_q: Number of coordinates.
@@ -199,8 +199,8 @@ def _formulas(
     """Return the formulas of a system with one stop, and those of the machine.
 
     The digest belongs to CasADi's instructions. The impact law is evaluated for one impact: from
-    the speed of approach and the parameters, it gives the drop of the gap rate and the gap rate
-    after the impact.
+    the gap rate before it and the restitution, it gives the drop of the gap rate and the gap rate
+    after the impact. The restitution is a symbol, since CasADi would fold ``1 + 0.3`` in doubles.
     """
     is_wide = further and (further[1].numel() or further[0].numel() > 1)
     parts: tuple[Any, ...] = (
@@ -219,9 +219,10 @@ def _formulas(
         words = [name, ",".join(map(str, takes)), ",".join(map(str, gives))]
         lines.append(" ".join(words if number is None else [*words, number.hex()]))
     text = "".join(line + "\n" for line in lines)
-    speed = ca.SX.sym("speed")
-    law = [system.law.rate_drop(speed), system.law.speed_after(speed)]
-    struck = ca.Function("law", [*inputs, speed], [ca.densify(ca.SX(part)) for part in law])
+    speed, restitution = ca.SX.sym("speed"), ca.SX.sym("restitution")
+    named = system.law._replace(restitution=restitution)
+    law = [ca.densify(ca.SX(part)) for part in (named.rate_drop(speed), named.speed_after(speed))]
+    struck = ca.Function("law", [*inputs, restitution, speed], law)
     mass = ca.vec(ca.densify(ca.SX(system.mechanism.mass_matrix)))
     inertia = ca.Function("inertia", inputs, [mass])
     return Formulas(
