@@ -16,7 +16,7 @@ from tests.support import hard_to_prove
 from tests.support.cases import fast
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof.arithmetic.balls import matrix
-from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.ball_system import BallSystem, PeriodStart, SectionKind
 from zeno_orbits.proof.integration.flow import BallFlow, enclose
 from zeno_orbits.proof.integration.machine import BallMachine
 from zeno_orbits.proof.integration.section import section_places, start_on_section
@@ -41,7 +41,9 @@ def _check(orbit: Orbit, radius: float, shares: list[float]) -> None:
     problem = zo.load_problem(orbit.problem)
     values = orbit.values(problem)
     with ctx.workprec(_BITS):
-        machine = BallMachine(problem, values, {}, 1.0, struck=False, is_graph=False)
+        machine = BallMachine(
+            problem, values, {}, 1.0, section=PeriodStart(SectionKind.RELEASE), is_graph=False
+        )
         system = machine.view(0, ())
         y = list(problem.state_vector(orbit.start_state))
         places, others = section_places(system, y)

@@ -207,51 +207,6 @@ def test_the_relay_is_proved_through_its_switches() -> None:
     assert sorted(proof.events)[-2:] == ["switch kink 1", "switch kink 1"]
 
 
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        pytest.param("kneed_walker", "no contact", marks=pytest.mark.slow),
-        ("relay loop", "no contact"),
-    ],
-)
-def test_other_machines_are_refused_with_their_reason(name: str, reason: str) -> None:
-    problem = load_problem(name) if name != "relay loop" else _oscillator()
-    found = prove_orbit(zo.find_event_orbit(problem), problem)
-    assert not found.proved
-    assert found.claim == "shape"
-    assert reason in found.reason
-
-
-def _oscillator() -> Problem:
-    """Return a relay loop without a stop."""
-
-    def model(p: Mapping[str, Any]) -> CompletedSystem:
-        q, v = ca.SX.sym("place"), ca.SX.sym("speed")
-        mass = zo.HybridLagrangian.from_energies(
-            q=q,
-            v=v,
-            kinetic=v**2 / 2,
-            potential=q**2 / 2,
-            passive_force=-p["c"] * v,
-            applied_force=ca.if_else(v > 0, 1.0, -1.0),
-        )
-        return zo.hybrid_system(mass, zo.no_drive(mass))
-
-    return zo.Problem(
-        name="relay_loop",
-        title="mass on a spring that is pushed along",
-        source="closed form",
-        state_names=("place", "speed"),
-        state_units=("m", "m/s"),
-        parameters=(zo.Quantity.positive("c", 0.5, "N s/m", "damping"),),
-        gains=(),
-        model=model,
-        starts=({"place": 2.0, "speed": 0.5},),
-        portraits=(("place", "speed"),),
-        amplitude_of="place",
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["s", "restitution"])
 def test_the_hopper_is_proved_over_an_interval_that_holds_its_closed_form(name: str) -> None:

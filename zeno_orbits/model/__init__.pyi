@@ -84,6 +84,7 @@ from .rig_parts import without_parts as without_parts
 from .scale import CharacteristicScales as CharacteristicScales
 from .starts import Start as Start
 from .stops import event_of_setting as event_of_setting
+from .stops import watched as watched
 from .scale import UNIT_SCALES as UNIT_SCALES
 from .expressions.units import powers_of as powers_of
 from .expressions.units import unit_quotient as unit_quotient

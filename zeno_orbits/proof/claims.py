@@ -165,15 +165,19 @@ def require_numbers(orbit: Orbit, bounds: Bounds, sizes: Sequence[float]) -> Non
         check("start_state", enclosed, value, CLOSE * max(size, abs(value)))
 
 
-def require_switches(orbit: Orbit, passage: ProofPassage) -> None:
+def require_switches(orbit: Orbit, passage: ProofPassage, *, at_switch: bool) -> None:
     """Raise an error if the switches of an orbit differ from those of the proved motion.
 
     Args:
         orbit: The orbit.
         passage: The enclosure of its period.
+        at_switch: True if the period starts just before a switch.
     """
     found = [f"switch {one.name}" for one in passage.events if one.kind is PassageKind.SWITCH]
     known = [event.name for event in orbit.events if event.word == "switch"]
+    if at_switch:
+        # The motion starts with the switch that ends the period of the orbit.
+        known = known[-1:] + known[:-1]
     require_proved(found == known, "shape", "the motion passes other switches than the orbit file")
 
 

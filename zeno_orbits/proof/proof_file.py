@@ -23,9 +23,9 @@ from zeno_orbits.proof.arithmetic.balls import (
     matrix,
 )
 from zeno_orbits.proof.checker.balls import NotProved
-from zeno_orbits.proof.checker.certificate import read_machine
+from zeno_orbits.proof.checker.certificate import require_order
 from zeno_orbits.proof.checker.formulas import joined_digest
-from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.ball_system import BallSystem, PeriodStart, SectionKind
 from zeno_orbits.proof.integration.machine import BallMachine
 from zeno_orbits.proof.integration.polynomial_walk import (
     PolynomialPass,
@@ -183,14 +183,23 @@ def certificate(
         **system_data(problem, values, over, system),
         **_machine_data(machine, system, passes),
         **({} if file is None else {"problem_file": str(Path(file.path).absolute())}),
-        "section": {
-            "conditions": ["gap"] if system.struck else ["gap", "gap_rate", "multiplier"],
-            "places": list(passes[0][0].places),
-        },
+        "section": _section_data(machine.section, passes[0][0].places),
         "passes": [writer.passage(start, passage) for start, passage in passes],
         "claims": [dict(claim) for claim in claims],
         "versions": proof_versions(),
     }
+
+
+def _section_data(section: PeriodStart, places: Sequence[int]) -> dict[str, Any]:
+    """Return the section as data."""
+    if section.kind is SectionKind.SWITCH:
+        on_stop = ["gap", "gap_rate"] if section.locked else []
+        conditions = {"conditions": [*on_stop, "guard"], "switch": section.switch}
+    elif section.kind is SectionKind.IMPACT:
+        conditions = {"conditions": ["gap"]}
+    else:
+        conditions = {"conditions": ["gap", "gap_rate", "multiplier"]}
+    return {**conditions, "places": list(places)}
 
 
 def _machine_data(
@@ -242,14 +251,15 @@ def require_hypotheses(data: Mapping[str, Any], problem: Problem) -> None:
     """Raise an error if the checker cannot show the hypotheses of the theorem for a problem.
 
     Args:
-        data: The certificate, or its `system_data` for a machine with one stop.
+        data: The certificate, or its `system_data` for a machine with one stop. Of a certificate
+            the order of the events is checked too.
         problem: The problem.
 
     Raises:
         ProofError: If a hypothesis is not shown.
     """
     try:
-        read_machine(data, problem)
+        require_order(data, problem)
     except (NotProved, InputError) as error:
         raise ProofError("hypotheses", str(error).removesuffix(".")) from error
 

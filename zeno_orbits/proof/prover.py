@@ -28,7 +28,7 @@ from zeno_orbits.proof.claims import (
     section_box,
 )
 from zeno_orbits.proof.fixed_point import JudgedBox, judge
-from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.ball_system import BallSystem, SectionKind
 from zeno_orbits.proof.integration.machine import BallMachine
 from zeno_orbits.proof.integration.orbit_walk import (
     LEAST_SIZE,
@@ -329,7 +329,8 @@ def _proof(search: _Search, values: ParameterValues, passes: list[JudgedBox]) ->
     bits = check_bits(system, numbers)
     bounds = proof_bounds(problem, system, fine, bits)
     require_numbers(search.orbit, bounds, system.units)
-    require_switches(search.orbit, fine.passage)
+    at_switch = search.given.kind is SectionKind.SWITCH
+    require_switches(search.orbit, fine.passage, at_switch=at_switch)
     claims = claims_of(passes, bounds, system.units)
     ways = [(one.start, one.passage) for one in passes]
     written = certificate(problem, values, over, search.machine, system, ways, claims)
@@ -343,7 +344,8 @@ def _proof(search: _Search, values: ParameterValues, passes: list[JudgedBox]) ->
         held=tuple(problem.derived_from(over, values.parameters)) if over else (),
         plastic=system.plastic,
         impacts=search.given.count if system.struck else 0,
-        stop=search.given.stop if search.machine.is_graph else "",
+        stop="" if at_switch or not search.machine.is_graph else search.given.event,
+        switch=search.given.event if at_switch else "",
         releases=search.given.count,
         events=fine.passage.told if search.machine.is_graph else (),
         stable=bool(fine.start.places) and (fine.discs.stable or passes[0].returned.included),

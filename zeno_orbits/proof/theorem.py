@@ -139,16 +139,15 @@ class SectionBox:
         }
         return {name: one.inner_text for name, one in self.coordinates.items()} | others
 
-    def lines(self, name: str, *, struck: bool = False) -> list[str]:
+    def lines(self, name: str, *, element: str = "release") -> list[str]:
         """Return the set as sentences.
 
         Args:
             name: Name of the set.
-            struck: True if the section holds the states just after an impact.
+            element: Word for a state of the section.
         """
         point = [] if self.coordinates else [f"{name} is a single point of the section."]
         around, within = (_listed(one) for one in (self.lying(), self.contained()))
-        element = "state just after an impact" if struck else "release"
         contains = f"{name} contains each {element} with {within}." if within else ""
         return [*point, f"{name} lies in {around}.", *filter(None, [contains])]
 
@@ -202,8 +201,10 @@ class Proof:
         plastic: True if the restitution is zero, so that a single impact starts the contact.
         impacts: Number of impacts per return to the section of the states just after an impact, or
             0 for the section of releases.
-        releases: Number of releases of the section's stop per return.
+        releases: Number of releases of the section's stop per return, or of passages of the
+            section's switch.
         stop: Name of the section's stop, empty for a machine with one stop and no switch.
+        switch: Name of the switch before which the period starts, empty for other sections.
         events: Events of the period in order, for a machine with several stops, switches or kinks.
         stable: True if the fixed point of the return map is proved to be stable.
         repelling: True if a multiplier is proved to lie outside the unit circle.
@@ -228,6 +229,7 @@ class Proof:
     impacts: int = 0
     releases: int = 0
     stop: str = ""
+    switch: str = ""
     events: tuple[str, ...] = ()
     stable: bool = False
     repelling: bool = False
@@ -338,9 +340,9 @@ class Proof:
         if self.bounds is None:
             return [self.verdict()]
         returns = self.impacts or self.releases
-        event = "impact" if self.impacts else "release"
+        event = "impact" if self.impacts else "passage" if self.switch else "release"
         which = "the next" if returns == 1 else f"{event} {returns} after it"
-        after = "just after " if self.impacts else ""
+        after = "just after " if self.impacts else "just before " if self.switch else ""
         lines = [
             f"Theorem. Problem `{self.problem}`. P is the return map, from {self._section} to"
             f" {after}{which}."
@@ -426,15 +428,23 @@ class Proof:
             if self.held:
                 lines.append(f"Held fixed, though derived by default: {', '.join(self.held)}.")
         for number, box in enumerate(self.boxes, start=1):
-            lines += box.lines(f"Box {number}", struck=bool(self.impacts))
+            lines += box.lines(f"Box {number}", element=self._element)
         if self.basin_box:
             lines += self.basin_box.lines("The set of initial states")
         return lines
 
     @property
     def _section(self) -> str:
+        if self.switch:
+            return f"the state just before switch `{self.switch}`"
         at = f" of stop `{self.stop}`" if self.stop else ""
         return f"the state just after an impact{at}" if self.impacts else f"a release{at}"
+
+    @property
+    def _element(self) -> str:
+        if self.switch:
+            return "state just before the switch"
+        return "state just after an impact" if self.impacts else "release"
 
     def _contraction(self) -> str:
         """Return the reason of stability: a norm below 1, or the inclusion of box 1."""
@@ -448,11 +458,12 @@ class Proof:
 
     def _motion(self, n_phases: int) -> str:
         if self.events:
+            returns = " It returns to just before the switch." if self.switch else ""
             return (
                 "From every point of box 1 the completed execution has these events in turn, and"
-                f" no others: {', '.join(self.events)}. Between them at most the stop of the last"
-                " Zeno point or plastic impact is closed, under pressure, and all other gaps are"
-                " positive. The switches are crossed transversally."
+                f" no others: {', '.join(self.events)}. Between them at most one stop is closed,"
+                " under pressure, and all other gaps are positive. The switches are crossed"
+                f" transversally.{returns}"
             )
         if self.impacts:
             count = "one impact" if self.impacts == 1 else f"{self.impacts} impacts"

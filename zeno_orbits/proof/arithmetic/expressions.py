@@ -22,7 +22,13 @@ import casadi as ca
 
 from zeno_orbits.errors import SpeedLawError, TableProofError, TranslationError
 from zeno_orbits.integrators.lookups import called_table
-from zeno_orbits.model import CharacteristicScales, CompletedSystem, Problem, system_of_stop
+from zeno_orbits.model import (
+    CharacteristicScales,
+    CompletedSystem,
+    Problem,
+    system_of_stop,
+    watched,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +87,7 @@ class ProofExpressions:
             impact, in addition to the gap.
         defined: The gap and the holonomic constraints as the problem states them. The proof needs
             that they are analytic along the motion.
+        holonomic: The holonomic constraints of the problem.
         n_stops: Number of stops, whose gaps and gap rates are states if `coordinate` is None.
         gaps: Gap and gap rate of every stop as functions of the problem's states.
         guards: Guards of the declared switches, then the conditions of the kinks on their sides.
@@ -104,6 +111,7 @@ class ProofExpressions:
     constraints: ca.SX
     struck_constraints: ca.SX
     defined: ca.SX
+    holonomic: ca.SX
     n_stops: int
     gaps: ca.SX
     guards: ca.SX
@@ -113,7 +121,11 @@ class ProofExpressions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Seen:
-    """A view of a machine: its system with one stop, and what else the machine has."""
+    """A view of a machine: its system with one stop, and what else the machine has.
+
+    Attributes:
+        moves: True if a reset changes a state on which a gap or a gap rate depends.
+    """
 
     system: CompletedSystem
     gaps: tuple[ca.SX, ...]
@@ -121,6 +133,7 @@ class _Seen:
     guards: ca.SX
     armed: ca.SX
     resets: tuple[ca.SX, ...]
+    moves: bool = False
 
 
 def _seen(problem: Problem, symbols: Mapping[str, ca.SX], view: MachineView | None) -> _Seen:
@@ -133,14 +146,26 @@ def _seen(problem: Problem, symbols: Mapping[str, ca.SX], view: MachineView | No
         raise LookupError(problem.name)
     n, sides = len(graph.switches), view.sides
     every = [graph.guard(sides, k) for k in range(n + len(sides))]
+    gaps = tuple(stop.gap for stop in watched(graph.stops))
+    system = system_of_stop(graph, ((), sides), view.stop)
     return _Seen(
-        system=system_of_stop(graph, ((), sides), view.stop),
-        gaps=tuple(stop.gap for stop in graph.stops),
+        system=system,
+        gaps=gaps,
+        moves=any(_moves(system, gaps, one) for one in graph.resets),
         stop=view.stop,
         guards=ca.densify(ca.vertcat(none, *every)),
         armed=ca.densify(ca.vertcat(none, *(ca.SX(one.armed) for one in graph.switches))),
         resets=tuple(ca.densify(one) for one in graph.resets),
     )
+
+
+def _moves(system: CompletedSystem, gaps: Sequence[ca.SX], reset: ca.SX) -> bool:
+    """Return True if a reset changes a state on which a gap or a gap rate depends."""
+    x = system.state
+    stacked = ca.vertcat(*gaps)
+    ends = ca.vertcat(stacked, ca.jtimes(stacked, x, system.free_flow))
+    columns = set(ca.jacobian(ends, x).sparsity().get_triplet()[1])
+    return any(not ca.is_equal(reset[k], x[k]) for k in columns)
 
 
 def proof_expressions(
@@ -168,10 +193,12 @@ def proof_expressions(
     if system.law.of_speed is not None:
         raise SpeedLawError
     x, p = system.state, ca.vertcat(*symbols.values())
+    # The direction of an absent stop is 0 / 0. It has no impact.
+    struck = ca.depends_on(ca.SX(system.gap), x)
     given = [
         system.free_flow,
         system.gap,
-        system.impulse_direction,
+        system.impulse_direction if struck else ca.SX.zeros(x.numel()),
         system.restitution,
         system.holonomic,
         ca.vec(ca.densify(ca.SX(system.mechanism.mass_matrix))),
@@ -187,10 +214,11 @@ def proof_expressions(
     outputs, names, values = _without_constants(function, one * x, one * p)
     over = [symbols[name] for name in carried]
     formulas, coordinate = _Formulas._make([*outputs[:9], outputs[9:]]), None
-    if len(seen.gaps) == 1:
+    if len(seen.gaps) == 1 and not seen.moves:
         coordinate = _coordinate(system.n_q, x, one, formulas.gap, formulas.free, over)
     if coordinate is None:
-        form = _with_gap_states(formulas, x, over, seen.stop)
+        moving = [_moves(system, seen.gaps, one) for one in seen.resets]
+        form = _with_gap_states(formulas, x, over, seen.stop, moving)
     else:
         form = _with_gap_coordinate(formulas, x, over, coordinate, system.n_q)
     # A symbol is used because CasADi would round the value of a function at the number 0.
@@ -277,13 +305,20 @@ class _Form:
         return replace(self, parts=parts, resets=resets)
 
 
-def _with_gap_states(f: _Formulas, x: ca.SX, over: Sequence[ca.SX], stop: int) -> _Form:
-    """Return formulas with gap and gap rate of every stop as additional states."""
+def _with_gap_states(
+    f: _Formulas, x: ca.SX, over: Sequence[ca.SX], stop: int, moving: Sequence[bool]
+) -> _Form:
+    """Return formulas with gap and gap rate of every stop as additional states.
+
+    Resets that move a gap set these states anew. A stop whose gap is constant is never struck.
+    """
     n, n_x, still = f.gaps.numel(), x.numel(), ca.SX.zeros(len(over))
     ends = ca.SX.sym("gap", 2 * n)
     rates = ca.jtimes(f.gaps, x, f.free)
     accelerations = ca.jtimes(rates, x, f.free)
-    direction = f.direction / ca.jtimes(rates[stop], x, f.direction)
+    direction = ca.SX.zeros(n_x)
+    if ca.depends_on(f.gaps[stop], x):
+        direction = f.direction / ca.jtimes(rates[stop], x, f.direction)
     pushed = ca.jtimes(rates, x, direction)
     pushed[stop] = 1
 
@@ -292,6 +327,11 @@ def _with_gap_states(f: _Formulas, x: ca.SX, over: Sequence[ca.SX], stop: int) -
 
     constraints = ca.vertcat(-accelerations[stop], f.gap, rates[stop], f.holonomic)
     off_section = ca.vertcat(f.gap, f.holonomic)
+    own_ends = paired(f.gaps, rates)
+    resets = [
+        ca.vertcat(reset, ca.substitute(own_ends, x, reset) if moves else ends, *over)
+        for reset, moves in zip(f.resets, moving, strict=True)
+    ]
     return _Form(
         states=ca.vertcat(x, ends, *over),
         places=(n_x + 2 * stop, n_x + 2 * stop + 1),
@@ -305,11 +345,12 @@ def _with_gap_states(f: _Formulas, x: ca.SX, over: Sequence[ca.SX], stop: int) -
             "constraints": constraints,
             "struck_constraints": off_section,
             "defined": off_section,
-            "gaps": paired(f.gaps, rates),
+            "holonomic": ca.SX(f.holonomic),
+            "gaps": own_ends,
             "guards": f.guards,
             "armed": f.armed,
         },
-        resets=[ca.vertcat(reset, ends, *over) for reset in f.resets],
+        resets=resets,
     )
 
 
@@ -325,6 +366,7 @@ def _with_gap_coordinate(
     resets = [ca.vertcat(reset, *over) for reset in f.resets]
     found = ca.substitute([*f[:-1], *resets], [x], [moved])
     free, gap, direction, restitution, holonomic, inertia, _, guards, armed, *resets = found
+    # No reset of a machine in this form changes the coordinate or its rate.
     for reset in resets:
         reset[g], reset[rate] = x[g], x[rate]
     for expression in (free, direction):
@@ -345,6 +387,7 @@ def _with_gap_coordinate(
             "constraints": ca.vertcat(-acceleration, holonomic),
             "struck_constraints": ca.SX(holonomic),
             "defined": ca.vertcat(gap, holonomic),
+            "holonomic": ca.SX(holonomic),
             "gaps": ca.vertcat(x[g], x[rate]),
             "guards": guards,
             "armed": armed,

@@ -28,7 +28,14 @@ from zeno_orbits.proof.checker.claims import Passage, of_one_orbit, show
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped, require_enclosed
 from zeno_orbits.proof.checker.formulas import View
 from zeno_orbits.proof.checker.lanes import orders_of, require_rounding
-from zeno_orbits.proof.checker.machine import Machine, bound_machine, read_sides, require_sides
+from zeno_orbits.proof.checker.machine import (
+    Machine,
+    bound_machine,
+    read_sides,
+    require_falling,
+    require_reset,
+    require_sides,
+)
 from zeno_orbits.proof.checker.motion import (
     Flow,
     RecordPosition,
@@ -56,7 +63,7 @@ _RECORDS = {
     "tail": ("radius", "speed"),
     "switch": (),
 }
-_FURTHER = {"cross": ("meets",), "impact": ("sides",), "switch": ("sides",)}
+_FURTHER = {"cross": ("meets",), "impact": ("sides",), "switch": ("sides", "mode", "kept")}
 """Further entries of the records of a machine with several stops, switches or kinks."""
 _BITS = range(64, 1025)
 _MOST = {"passes": 4, "basin": 16, "claims": 20_000, "records": 50_000}
@@ -86,7 +93,7 @@ def check_proof(
         problem = problem_of_certificate(data, given)
         machine, over, theorem = read_machine(data, problem)
         system = machine.first
-        section = ContactSection.of(system, data["section"])
+        section = ContactSection.of(system, data["section"], machine.names)
         passages, verdicts, boxes = list[Passage | str](), list[ClaimVerdict](), list[Box]()
         for k, part in enumerate(_listed(data, "passes")):
             box, start, records = entries(part, "box", "start", "records")
@@ -226,6 +233,24 @@ def read_machine(
     return machine, [(numbers[name], radii[name]) for name in over], theorem
 
 
+def require_order(data: Mapping[str, Any], problem: Problem) -> None:
+    """Check the hypotheses, and the order of the events of each pass.
+
+    Args:
+        data: The certificate, or its entries about the system alone.
+        problem: Its problem.
+
+    Raises:
+        InputError: If the parameter values do not fit the problem, or an event cannot follow.
+        NotProved: If a hypothesis of the theorem is not shown.
+    """
+    machine, _, _ = read_machine(data, problem)
+    if "section" in data:
+        section = ContactSection.of(machine.first, data["section"], machine.names)
+        for part in data["passes"]:
+            _stations(machine, section, part["records"], _RECORDS)
+
+
 def _passage(
     machine: Machine, section: ContactSection, box: Box, start: Any, records: Sequence[Any]
 ) -> Passage:
@@ -236,6 +261,9 @@ def _passage(
     first, last = (_set(system, box, data) for data in (sets[0], sets[-1]))
     try:
         require_start(system, section, box, first)
+        if section.switch >= 0:
+            mode = "locked" if section.settled else "free"
+            require_falling(system, first.hull, section.switch, mode)
     except NotProved as failure:
         raise NotProved(f"section: {failure}") from failure
     back = last.hull[section.others] - box.others
@@ -292,6 +320,10 @@ def _stations(
     """Return the position of each record in the motion, after a check of their order."""
     began = "release" if section.end == "cross" else "impact"
     here, stations = RecordPosition("free", began, machine.start), list[RecordPosition]()
+    if section.switch >= 0:
+        mode, met = "locked" if section.settled else "free", ("switch", section.switch)
+        here = RecordPosition(mode, "", machine.start, met=met)
+    first = here
     for k, record in enumerate(records):
         kind = record["kind"]
         further = _FURTHER.get(kind, ()) if machine.is_graph else ()
@@ -306,6 +338,7 @@ def _stations(
         place, here = _passed(machine, here, record)
         stations.append(place)
     ended = here.mode == "free" and here.switch < 0 and here.view == machine.start
+    ended = here == first if section.switch >= 0 else ended
     if not records or records[-1]["kind"] != section.end or not ended:
         raise InputError("The certificate's last record must end on the section.")
     return stations
@@ -333,7 +366,10 @@ def _passed(
     place = here._replace(after=view)
     if kind == "switch":
         _require_other_side(machine, here, sides)
-        return place, RecordPosition(here.mode, "", view, here.switch)
+        mode, kept = _after_switch(machine, here, record)
+        crossed, began = here.switch if kept else -1, "opened" if mode == "opened" else ""
+        mode = "free" if mode == "opened" else mode
+        return place._replace(crossed=crossed), RecordPosition(mode, began, view, crossed)
     held = kind == "tail" or machine.is_plastic(here.view)
     return place, RecordPosition(*(("locked", "") if held else ("free", "impact")), view)
 
@@ -343,6 +379,30 @@ def _require_other_side(machine: Machine, here: RecordPosition, sides: Sequence[
     kink, before = here.switch - machine.first.n_declared, here.view.sides
     if kink >= 0 and (sides[kink] == before[kink] or sides[:kink] != before[:kink]):
         raise InputError("The certificate's `sides` must change where a kink is crossed.")
+
+
+def _after_switch(
+    machine: Machine, here: RecordPosition, record: Mapping[str, Any]
+) -> tuple[str, bool]:
+    """Return the mode after a switch, and True if its guard is zero after it.
+
+    Contact lasts, or opens at once, only if gap and gap rate are zero after the switch. The guard
+    is zero after a kink, and after a reset that keeps the guard.
+    """
+    system, k = machine.systems[here.view], here.switch
+    mode, kept = record["mode"], record["kept"]
+    declared = k < system.n_declared
+    moves, closed = declared and system.moves[k], not declared or system.closed[k]
+    modes = {"free"} if here.mode == "free" or not closed else {"locked", "opened"}
+    if here.mode == "locked" and moves:
+        modes.add("free")
+    if not isinstance(mode, str) or mode not in modes:
+        raise InputError(f"The certificate's `mode` of a switch must be {' or '.join(modes)}.")
+    if type(kept) is not int or kept not in ((0, 1) if declared else (1,)):
+        raise InputError("The certificate's `kept` of a switch must be 0 or 1, and 1 for a kink.")
+    if kept and declared and not system.kept[k]:
+        raise InputError("The certificate's `kept` must be 0 for a reset that changes its guard.")
+    return mode, bool(kept)
 
 
 def _met(machine: Machine, here: RecordPosition, record: Mapping[str, Any]) -> tuple[str, int]:
@@ -381,7 +441,9 @@ def _told(
         elif kind == "impact" and machine.is_plastic(place.view):
             words[-1] = f"plastic impact on {stop}"
         elif kind == "switch":
-            words.append(f"switch {switches[place.switch]}")
+            opens = place.mode == "locked" and record["mode"] != "locked"
+            release = f" with release of {stop}" if opens else ""
+            words.append(f"switch {switches[place.switch]}{release}")
         elif place.met[0] == "release" and kind == "cross":
             words.append(f"release of {stop}")
     return tuple(words)
@@ -505,7 +567,10 @@ def _proved(machine: Machine, box: Box, tasks: Sequence[Any]) -> list[list[list[
                 mapped = _mapped(machine, place, old, record, steps.get(k, ""))
                 require_enclosed(old, mapped, new)
                 if record["kind"] in ("impact", "switch"):
-                    require_sides(machine.systems[place.after], new.hull, place.switch)
+                    require_sides(machine.systems[place.after], new.hull, place.crossed)
+                if record["kind"] == "switch":
+                    after = machine.systems[place.after]
+                    require_reset(after, new.hull, place.switch, record["mode"])
             except NotProved as failure:
                 found.append(str(failure))
                 continue

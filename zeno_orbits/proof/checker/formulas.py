@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, cast
 
 import casadi as ca
 
-from zeno_orbits.model import CompletedSystem, ModeGraph, Problem, system_of_stop
+from zeno_orbits.model import CompletedSystem, ModeGraph, Problem, system_of_stop, watched
 from zeno_orbits.proof.checker.balls import NotProved
 
 Row = list[int | None]
@@ -94,6 +94,26 @@ class Graph:
                 known[place] = [self._tangent(place, *parts) for parts in zip(*inner, strict=True)]
         return [known[place] for place in outputs]
 
+    def composed(self, outputs: Sequence[int], inner: Mapping[int, int]) -> list[int]:
+        """Return outputs with other nodes in place of inputs. Nodes minus themselves are zero."""
+        known = dict(inner)
+        for place in self.needed(outputs, at_rest=True):
+            name, *given = self.nodes[place]
+            if place in known:
+                continue
+            if name in ("input", "constant"):
+                known[place] = place
+            elif name == "function":
+                known[place] = self.function(given[0], known[given[1]])
+            else:
+                known[place] = self._simple(name, *(known[a] for a in given))
+        return [known[place] for place in outputs]
+
+    def _simple(self, name: str, a: int, *b: int) -> int:
+        opposite = name == "add" and ("neg", a) == self.nodes[b[0]]
+        is_zero = opposite or (name == "sub" and a == b[0])
+        return self.zero if is_zero else self.put(name, a, *b)
+
     def _tangent(self, place: int, x: int | None, y: int | None = None) -> int | None:
         """Return the tangent of an arithmetic node from the tangents of its arguments."""
         name, a, *b = self.nodes[place]
@@ -163,7 +183,7 @@ def _viewed(graph: ModeGraph, view: View) -> tuple[CompletedSystem, tuple[Any, .
     stack: Any = cast("Any", ca).vertcat
     every = range(len(graph.switches) + len(view.sides))
     further = (
-        stack(*(one.gap for one in graph.stops)),
+        stack(*(one.gap for one in watched(graph.stops))),
         stack(ca.SX(0, 1), *(graph.guard(view.sides, k) for k in every)),
         stack(ca.SX(0, 1), *(ca.SX(one.armed) for one in graph.switches)),
         *graph.resets,

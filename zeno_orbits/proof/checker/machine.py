@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import Problem
+from zeno_orbits.model import Problem, watched
 from zeno_orbits.proof.checker.balls import Array, Ball, NotProved, entries, require
 from zeno_orbits.proof.checker.formulas import (
     Formulas,
@@ -101,9 +101,9 @@ def bound_machine(
     stop, own = entries(data["machine"], "stop", "sides")
     symbols = problem.symbols()
     graph = problem.model(symbols).graph
-    if graph is None or type(stop) is not int or not 0 <= stop < len(graph.stops):
+    if graph is None or type(stop) is not int or not 0 <= stop < graph.n_watched:
         raise InputError("The certificate's `machine` must have a stop of the problem.")
-    n_kinks, n_stops = len(graph.conditions), len(graph.stops)
+    n_kinks, n_stops = len(graph.conditions), graph.n_watched
     start = View(stop, read_sides(n_kinks, own))
     records = [record for part in data["passes"] for record in part["records"]]
     used = {read_sides(n_kinks, record["sides"]) for record in records if "sides" in record}
@@ -118,7 +118,7 @@ def bound_machine(
     _require_ordered({view.sides: formulas[view] for view in views if view.stop == 0})
     systems = {view: bound_system(formulas[view], numbers, over, row, view) for view in views}
     n_switches = len(graph.switches) + n_kinks
-    names = tuple(one.name for one in graph.stops), graph.switch_names
+    names = tuple(one.name for one in watched(graph.stops)), graph.switch_names
     machine = Machine(start, systems, n_stops, n_switches, True, names)
     for system in systems.values():
         _require_free_resets(system)
@@ -160,13 +160,44 @@ def _require_ordered(sides: Mapping[tuple[bool, ...], Formulas]) -> None:
 
 
 def _require_free_resets(system: System) -> None:
-    """Check that resets change no state on which gaps, constraints or the own guard depend."""
+    """Check that resets change no state on which constraints depend."""
     x = system.z[: system.n_x]
-    for k, changed in enumerate(system.changed):
-        nodes = [*system.nodes["stops"], *system.nodes["constraints"], system.nodes["guards"][k]]
-        needed = set(system.graph.needed(nodes))
+    needed = set(system.graph.needed(system.nodes["constraints"]))
+    for changed in system.changed:
         free = not any(x[place] in needed for place in changed)
-        require(free, "a switch resets a state on which a gap, a constraint or its guard depends")
+        require(free, "a switch resets a state on which a constraint depends")
+
+
+def require_reset(system: System, box: Array, switch: int, mode: str) -> None:
+    """Check that all gaps are positive after a reset that moves them, except that of a closed stop.
+
+    Args:
+        system: The system on the sides after it.
+        box: Box of the states after it.
+        switch: The switch.
+        mode: Mode after it: `free`, `locked`, or `opened` for a stop that opens at once.
+    """
+    if switch >= system.n_declared or not system.moves[switch]:
+        return
+    for k in system.gap_rows:
+        held = k == system.gap_row and mode != "free"
+        require(held or box[k].low > 0, f"a gap may be closed after a reset: {box[k].shown()}")
+
+
+def require_falling(system: System, box: Array, switch: int, mode: str) -> None:
+    """Check that a switch is met by all states of its section: its guard falls, and it is armed.
+
+    Args:
+        system: The system of the section.
+        box: Box of the states.
+        switch: The switch.
+        mode: The mode.
+    """
+    rate = system.value(f"guards_{mode}", box)[switch] * system.signs[switch]
+    require(rate.high < 0, f"the guard of the section may not fall: its rate is {rate.shown()}")
+    if switch < system.n_declared:
+        armed = system.value("armed", box)[switch]
+        require(armed.low > 0, f"the switch of the section may not be armed: {armed.shown()}")
 
 
 def require_sides(system: System, box: Array, crossed: int = -1) -> None:

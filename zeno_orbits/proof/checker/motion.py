@@ -45,10 +45,10 @@ class RecordPosition(NamedTuple):
 
     Attributes:
         mode: `free`, `locked`, or `closed` between a crossing and its impact.
-        began: The event at the start of its phase, if the record is the first: a release or an
-            impact of the stop.
+        began: The event at the start of its phase, if the record is the first: a `release` or an
+            `impact` of the stop, or `opened` by a switch after which the stop pulls.
         view: The stop that was met last, and the sides of the kinks.
-        crossed: The switch that was crossed just before, or -1.
+        crossed: The switch that was crossed just before and whose guard is zero, or -1.
         met: Kind and index of the event of a crossing: a `stop`, a `switch` or a `release`.
         after: Stop and sides after the record.
     """
@@ -347,6 +347,7 @@ def require_apart(
         or (rate.low > 0 and open_first and not last)
         or (open_first and is_open and system.value("acceleration", box)[0].high < 0)
         or (place.began == "release" and not last and system.value("jerk", box)[0].low > 0)
+        or (place.began == "opened" and not last and system.value("acceleration", box)[0].low > 0)
     ):
         return
     raise NotProved(f"the gap may close: it is {gap.shown()}")
@@ -393,6 +394,10 @@ def switched(system: System, box: Array, m: Array, switch: int) -> Mapped:
     if switch < system.n_declared:
         point[:n] = system.value(f"reset {switch}", m)
         slope[:n] = system.gradient(f"reset {switch}", box)
+        if system.moves[switch]:
+            ends = slice(n, len(m) - len(system.varied))
+            point[ends] = system.value(f"after {switch}", m)
+            slope[ends] = system.gradient(f"after {switch}", box)
     return Mapped(point, slope, Ball(0, 0, system.bits), system.nothing)
 
 

@@ -27,6 +27,13 @@ from zeno_orbits.work import decimal_between, enclosing_decimal
 _SWEEPS = 4
 """Number of times that an enclosure of the other states is narrowed."""
 _CONDITIONS = {"gap": "gap", "gap_rate": "gap_rate", "multiplier": "acceleration"}
+_KINDS = (
+    {"gap", "gap_rate", "multiplier"},
+    {"gap"},
+    {"guard"},
+    {"gap", "gap_rate", "guard"},
+)
+"""Conditions of the sections: of releases, of impacts, of a switch in flight and in contact."""
 
 
 _TEXTS = {
@@ -45,6 +52,7 @@ class ContactSection(NamedTuple):
         settled: True if the gap rate vanishes on the section, as at a release.
         end: Kind of the record that ends on the section.
         text: Description of the section.
+        switch: The switch just before which the states of the section are, or -1.
     """
 
     places: list[int]
@@ -53,29 +61,61 @@ class ContactSection(NamedTuple):
     settled: bool
     end: str
     text: str
+    switch: int = -1
+
+    @property
+    def in_flight(self) -> bool:
+        """True if no stop is closed or struck on the section."""
+        return self.switch >= 0 and not self.settled
 
     @classmethod
-    def of(cls, system: System, data: Any) -> ContactSection:
-        """Return the section of a certificate."""
-        conditions, places = entries(data, "conditions", "places")
+    def of(
+        cls, system: System, data: Any, names: tuple[Sequence[str], Sequence[str]] = ((), ())
+    ) -> ContactSection:
+        """Return the section of a certificate.
+
+        Args:
+            system: The system on the section.
+            data: The entry of the certificate.
+            names: Names of the stops, and of the switches.
+        """
+        further = ("switch",) if isinstance(data, dict) and "switch" in data else ()
+        conditions, places, *switch = entries(data, "conditions", "places", *further)
+        k = switch[0] if switch else -1
         pinned = {"gap": system.gap_row, "gap_rate": system.rate_row} if system.is_pinned else {}
         fixed = {row for name, row in pinned.items() if name in conditions}
         others = [k for k in range(system.n_x) if k not in places and k not in fixed]
-        equations = [(_CONDITIONS[x], 0) for x in conditions if x not in pinned]
+        equations = [(_CONDITIONS[x], 0) for x in conditions if x not in {*pinned, "guard"}]
+        equations += [("guards", k)] if "guard" in conditions else []
         equations += [("constraints", k) for k in range(len(system.nodes["constraints"]))]
-        known = len(set(conditions)) == len(conditions) and set(conditions) <= set(_CONDITIONS)
+        known = len(set(conditions)) == len(conditions) and set(conditions) in _KINDS
+        known = known and ("guard" in conditions) == bool(switch)
+        known = known and (not switch or (type(k) is int and 0 <= k < len(system.signs)))
         sound = all(type(k) is int for k in places) and len(set(places)) == len(places)
         sound = sound and set(places) <= set(range(system.n_x)) - fixed
-        if not (known and sound and "gap" in conditions and len(others) == len(equations)):
+        if not (known and sound and len(others) == len(equations)):
             raise InputError(
                 "The certificate's `section` must have as many unknowns as conditions."
             )
         settled = "gap_rate" in conditions
-        released = "multiplier" in conditions
-        if released != settled:
-            raise InputError("The certificate's `section` must be of release or of impact.")
-        end = "cross" if released else "impact"
-        return cls(places, others, equations, settled, end, _TEXTS[released])
+        if switch:
+            text = _text_of_switch(system, k, settled=settled, names=names)
+            return cls(places, others, equations, settled, "cross", text, k)
+        end = "cross" if settled else "impact"
+        return cls(places, others, equations, settled, end, _TEXTS[settled])
+
+
+def _text_of_switch(
+    system: System, switch: int, *, settled: bool, names: tuple[Sequence[str], Sequence[str]]
+) -> str:
+    """Return the description of the section of a switch."""
+    stops, switches = names
+    text = f"the states just before the switch `{switches[switch]}`, where its guard vanishes"
+    if switch >= system.n_declared:
+        side = "positive" if system.signs[switch] > 0 else "negative"
+        text = f"the states just before `{switches[switch]}` leaves its {side} side"
+    own = (system.gap_row - system.n_x) // 2 if not system.is_pinned else 0
+    return f"{text}, in contact with `{stops[own]}`" if settled else f"{text}, in flight"
 
 
 class Box(NamedTuple):
@@ -238,7 +278,8 @@ def require_start(system: System, section: ContactSection, box: Box, start: Encl
     slope[section.others] = by_u
     still = exactly(np.zeros(D, dtype=int), system.bits)
     point = state(box.centre, narrowed(still)[0])
-    kept = {system.gap_row, *([system.rate_row] if section.settled else [])}
+    kept = {system.rate_row} if section.settled else set[int]()
+    kept |= set[int]() if section.in_flight else {system.gap_row}
     computed = [k for k in range(system.n_x, len(system.z) - len(system.varied)) if k not in kept]
     values, slopes = system.value("stops", point), system.gradient("stops", everywhere)
     for k in computed:

@@ -52,6 +52,12 @@ class System:
         signs: Factor of the guard of each switch: 1, or -1 for a kink on its negative side.
         n_declared: Number of declared switches, which precede the kinks.
         changed: States that the reset of each declared switch changes.
+        moves: True for each reset that changes a state on which a gap or a gap rate depends. Then
+            the nodes `after k` are gap and gap rate of each stop after reset `k`.
+        kept: True for each declared switch whose guard has the same value before and after its
+            reset, so that it is zero after it.
+        closed: True for each reset after which the own gap and gap rate are zero if they were zero
+            before it.
     """
 
     graph: Graph
@@ -61,6 +67,9 @@ class System:
     signs: list[int]
     n_declared: int
     changed: list[list[int]]
+    moves: list[bool]
+    kept: list[bool]
+    closed: list[bool]
     z: list[int]
     constants: dict[int, Ball]
     flow: dict[str, Row]
@@ -208,7 +217,8 @@ def bound_system(
     gap_rates = [derivative(node, nothing) for node in gaps]
     pushed = [derivative(node, D) for node in gap_rates]
     pairs = [(gap_rates[k], pushed[k]) for k in range(len(gaps)) if k != stop]
-    require_impacts(graph, x, D, gap=gap, rate=rate, rows=rows, beside=pairs)
+    if not _is_constant(graph, x, gap):
+        require_impacts(graph, x, D, gap=gap, rate=rate, rows=rows, beside=pairs)
     require_kept(graph, rows, rates)
     (masses,) = walked(formulas.inertia, graph, [x, list(p.values())])
     require_analytic(graph, masses)
@@ -217,6 +227,11 @@ def bound_system(
     flying, held, struck = _at_stops(graph, carried, stop, force, lifted, pushed)
     own = (n_x + 2 * stop, n_x + 2 * stop + 1) if carried else ()
     settling = [k for k in range(n_x + len(carried)) if k not in own]
+    ends = [node for pair in zip(gaps, gap_rates, strict=True) for node in pair]
+    changes = [
+        _Change.of(graph, x, one, ends, guard) for one, guard in zip(resets, guards, strict=False)
+    ]
+    require(row is None or not any(one.moves for one in changes), "a switch moves the pinned gap")
     nodes: dict[str, Row] = {
         "free": [[*nothing, *flying][k] for k in settling],
         "gap": [gap],
@@ -227,12 +242,13 @@ def bound_system(
         "direction": [[*D, *struck][k] for k in settling],
         "law": [law],
         "constraints": [*rows],
-        "stops": [node for pair in zip(gaps, gap_rates, strict=True) for node in pair],
+        "stops": [*ends],
         "guards": [*guards],
         "armed": [*armed],
         "guards_free": [derivative(node, nothing) for node in guards],
         "guards_locked": [derivative(node, locked) for node in guards],
         **{f"reset {k}": [*one] for k, one in enumerate(resets)},
+        **{f"after {k}": [*one.ends] for k, one in enumerate(changes)},
     }
     z = [*x, *carried, *(p[name] for name in over)]
     rest: Row = [None] * (len(z) - n_x)
@@ -264,8 +280,61 @@ def bound_system(
         varied=list(range(len(z) - len(over), len(z))),
         signs=[*(1 for _ in armed), *(1 if side else -1 for side in (view.sides if view else ()))],
         n_declared=len(armed),
-        changed=[[k for k, node in enumerate(one) if node != x[k]] for one in resets],
+        changed=[one.states for one in changes],
+        moves=[one.moves for one in changes],
+        kept=[one.keeps_guard for one in changes],
+        closed=[
+            not one.moves or one.ends[2 * stop : 2 * stop + 2] == [graph.zero] * 2
+            for one in changes
+        ],
     )
+
+
+def _is_constant(graph: Graph, x: Sequence[int], node: int) -> bool:
+    """Return True if a node does not depend on the state, as the gap of an absent stop."""
+    return set(x).isdisjoint(graph.needed([node]))
+
+
+class _Change(NamedTuple):
+    """What the reset of a declared switch changes.
+
+    Attributes:
+        states: States that it changes.
+        moves: True if a gap or a gap rate depends on one of them.
+        ends: Nodes of gap and gap rate of each stop after it.
+        keeps_guard: True if the guard has the same value before and after it.
+    """
+
+    states: list[int]
+    moves: bool
+    ends: list[int]
+    keeps_guard: bool
+
+    @classmethod
+    def of(
+        cls,
+        graph: Graph,
+        x: Sequence[int],
+        reset: Sequence[int],
+        ends: Sequence[int],
+        guard: int,
+    ) -> _Change:
+        """Return what a reset changes.
+
+        Args:
+            graph: The nodes are there.
+            x: Inputs of the state.
+            reset: The state after it.
+            ends: Gap and gap rate of each stop.
+            guard: The guard of the switch.
+        """
+        states = [k for k, node in enumerate(reset) if node != x[k]]
+        changed = {x[k] for k in states}
+        moves = not changed.isdisjoint(graph.needed(ends))
+        *after, next_guard = graph.composed([*ends, guard], dict(zip(x, reset, strict=True)))
+        keeps = changed.isdisjoint(graph.needed([guard]))
+        keeps = keeps or are_equal(graph, [next_guard], [guard])
+        return cls(states, moves, after if moves else [*ends], keeps)
 
 
 class _Given(NamedTuple):
@@ -289,6 +358,9 @@ def _given(
         formulas.function, graph, [x, p]
     )
     gaps, guards, armed, *resets = further or ([contact[0]], [], [])
+    if _is_constant(graph, x, gaps[stop]):
+        # A constant gap never closes, so no impact has a direction.
+        along = [graph.zero] * len(along)
     require(not faster, "its restitution depends on the impact speed, and Lemma 10 has a constant")
     require_analytic(graph, [*free, *along, law, *rows])
     require_analytic(graph, [*gaps, *guards, *armed, *(node for one in resets for node in one)])

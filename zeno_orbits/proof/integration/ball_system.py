@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
 
 import casadi as ca
 from flint import arb
@@ -16,6 +18,30 @@ from zeno_orbits.proof.arithmetic.expressions import MachineView, proof_expressi
 from zeno_orbits.proof.arithmetic.program import BallProgram
 from zeno_orbits.proof.integration.flow import BallFlow
 
+
+class SectionKind(Enum):
+    """Kind of the states at which a period starts."""
+
+    RELEASE = "release"
+    IMPACT = "impact"
+    SWITCH = "switch"
+
+
+class PeriodStart(NamedTuple):
+    """The event at which a period starts.
+
+    Attributes:
+        kind: The states of a release, just after an impact, or just before a switch.
+        switch: Index of the switch, or -1.
+        locked: True if the stop is closed just before the switch.
+    """
+
+    kind: SectionKind
+    switch: int = -1
+    locked: bool = False
+
+
+_AT_RELEASE = PeriodStart(SectionKind.RELEASE)
 _FAST = 1e-3
 """Gap rate, in its unit, above which it shares the frame of the other states."""
 
@@ -46,7 +72,7 @@ class BallSystem:
         gap: Index of the gap.
         rate: Index of the gap rate.
         plastic: True for a restitution of zero.
-        struck: True if the section holds the states just after an impact, False for releases.
+        section: The event at which the period starts.
         view: The stop and the sides, None for a machine with one stop and no switch.
         gap_offset: Gap at the zero of its coordinate.
         units: Units of the states, powers of two, ``(n,)``.
@@ -62,7 +88,7 @@ class BallSystem:
         over: Mapping[str, float] | None = None,
         period: float = 1.0,
         *,
-        struck: bool = False,
+        section: PeriodStart = _AT_RELEASE,
         view: MachineView | None = None,
     ) -> None:
         """Translate the problem.
@@ -72,13 +98,13 @@ class BallSystem:
             values: Gains and parameters, taken exactly.
             over: Gains or parameters that become states of rate zero.
             period: Approximate duration of the motion [s].
-            struck: True if the section holds the states just after an impact.
+            section: The event at which the period starts.
             view: The stop and the sides of a machine with several stops, switches or kinks.
 
         Raises:
             TranslationError: If an operation of the problem is not analytic.
         """
-        carried, self.period, self.struck = tuple(over or ()), period, struck
+        carried, self.period, self.section = tuple(over or ()), period, section
         self.view = view
         named = dict(zip(problem.names, map(float, values.vector), strict=True))
         n_x, n_stops = len(problem.state_names), 1
@@ -86,7 +112,7 @@ class BallSystem:
             own = problem.dynamics(values).own
         else:
             graph = problem.graph_dynamics(values)
-            own, n_stops = graph.own, len(graph.stop_names)
+            own, n_stops = graph.own, graph.n_watched
         sizes = (*own.states(n_x), *(own.gap, own.gap_rate) * n_stops)
         sizes += tuple(named[name] for name in carried)
         units = [power_of_two(size) for size in sizes]
@@ -113,7 +139,14 @@ class BallSystem:
         self._tail = self._program(e.free, e.direction, e.restitution)
         self._defined = self._program(e.defined)
         self._inertia = self._program(e.inertia)
-        equations = e.struck_constraints if struck else e.constraints
+        equations = {
+            SectionKind.RELEASE: e.constraints,
+            SectionKind.IMPACT: e.struck_constraints,
+            # The pressure is the first of the constraints.
+            SectionKind.SWITCH: e.constraints[1:] if section.locked else e.holonomic,
+        }[section.kind]
+        if section.switch >= 0:
+            equations = ca.vertcat(e.guards[section.switch], equations)
         gradient = ca.jacobian(equations, e.states)
         self.constraints = self._program(equations, gradient)
         self._stops = self._program(e.gaps, ca.densify(ca.jacobian(e.gaps, e.states)))
@@ -165,7 +198,14 @@ class BallSystem:
     @property
     def stopped(self) -> tuple[int, ...]:
         """Indices of the states that are zero on the section."""
+        if self.section.kind is SectionKind.SWITCH and not self.section.locked:
+            return ()
         return (self.gap,) if self.struck else (self.gap, self.rate)
+
+    @property
+    def struck(self) -> bool:
+        """True if the section holds the states just after an impact."""
+        return self.section.kind is SectionKind.IMPACT
 
     def stops(self, y: Sequence[Ball]) -> tuple[list[Ball], list[list[Ball]]]:
         """Return gap and gap rate of all stops as functions of the problem's states.

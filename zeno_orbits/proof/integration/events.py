@@ -328,8 +328,7 @@ def meeting_guess(
     if stage.departure is Departure.LOCKED:
         return _release_guess(system, points, within)
     coefficients = [float(c.mid()) for c in points[system.gap]]
-    skipped = {Departure.FLYING: 0, Departure.STRUCK: 1, Departure.RELEASED: 3}[stage.departure]
-    return _first_root(coefficients[skipped:], within)
+    return _first_root(coefficients[_LEADING_ZEROS[stage.departure] :], within)
 
 
 def _release_guess(system: BallSystem, points: list[Series], within: float) -> float | None:
@@ -379,6 +378,13 @@ def _horner(coefficients: list[float], time: float) -> float:
     return value
 
 
+_LEADING_ZEROS = {
+    Departure.FLYING: 0,
+    Departure.STRUCK: 1,
+    Departure.OPENED: 2,
+    Departure.RELEASED: 3,
+}
+"""Number of Taylor coefficients of the gap that are zero at the start."""
 _SPEED_SHARE = 0.25
 """Part of the polydisc that the tail with the highest speed may cross."""
 _RADII = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8)

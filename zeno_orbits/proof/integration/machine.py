@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 
 from zeno_orbits.errors import ProofError
-from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem, watched
 from zeno_orbits.proof.arithmetic.balls import Ball
 from zeno_orbits.proof.arithmetic.expressions import MachineView
-from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.ball_system import BallSystem, PeriodStart
 
 
 class BallMachine:
@@ -23,6 +23,7 @@ class BallMachine:
         stop_names: Names of the stops.
         switch_names: Names of the declared switches, then of the kinks.
         n_declared: Number of declared switches.
+        section: The event at which the period starts.
         is_graph: True for a machine with several stops, switches or kinks.
     """
 
@@ -33,7 +34,7 @@ class BallMachine:
         over: Mapping[str, float],
         period: float,
         *,
-        struck: bool,
+        section: PeriodStart,
         is_graph: bool,
     ) -> None:
         """Store what the systems are made of.
@@ -43,14 +44,14 @@ class BallMachine:
             values: Gains and parameters, taken exactly.
             over: Gains or parameters that become states of rate zero.
             period: Approximate duration of the motion [s].
-            struck: True if the section holds the states just after an impact.
+            section: The event at which the period starts.
             is_graph: True for a machine with several stops, switches or kinks.
 
         Raises:
             ProofError: If the machine has a property that is not proved.
         """
         self._given = problem, values, over, period
-        self._struck, self.is_graph = struck, is_graph
+        self.section, self.is_graph = section, is_graph
         self._views: dict[tuple[int, tuple[bool, ...]], BallSystem] = {}
         self.stop_names: tuple[str, ...] = ("stop",)
         self.switch_names: tuple[str, ...] = ()
@@ -58,18 +59,15 @@ class BallMachine:
         if is_graph:
             graph = problem.compiled_graph().graph
             reason = "a root of a formula is zero at an event" if graph.roots else ""
-            reason = reason or ("the machine has no stop" if not graph.stops else "")
             if graph.has_current_layers:
                 reason = "each impact has a layer of a corrected drive"
             if any(ca.SX(one.guard).is_constant() for one in graph.switches):
                 reason = "an event of a stop sets states anew, or a guard is constant"
-            if any(one.q_after is not None or one.v_after is not None for one in graph.switches):
-                reason = "a switch resets coordinates or velocities"
             if graph.n_frictions:
                 reason = "a part has dry friction, which sticks"
             if reason:
                 raise ProofError("shape", reason)
-            self.stop_names = tuple(one.name for one in graph.stops)
+            self.stop_names = tuple(one.name for one in watched(graph.stops))
             self.switch_names = graph.switch_names
             self.n_declared = len(graph.switches)
 
@@ -85,7 +83,7 @@ class BallMachine:
             problem, values, over, period = self._given
             view = MachineView(stop=stop, sides=sides) if self.is_graph else None
             self._views[key] = BallSystem(
-                problem, values, over, period, struck=self._struck, view=view
+                problem, values, over, period, section=self.section, view=view
             )
         return self._views[key]
 

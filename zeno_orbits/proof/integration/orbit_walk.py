@@ -6,15 +6,21 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 from flint import arb
 
 from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Orbit, other_equations
-from zeno_orbits.proof.arithmetic.balls import Ball
+from zeno_orbits.proof.arithmetic.balls import ZERO, Ball
 from zeno_orbits.proof.arithmetic.expressions import stop_identities
 from zeno_orbits.proof.arithmetic.program import BallProgram
-from zeno_orbits.proof.integration.ball_system import BallSystem, require_proved
+from zeno_orbits.proof.integration.ball_system import (
+    BallSystem,
+    PeriodStart,
+    SectionKind,
+    require_proved,
+)
 from zeno_orbits.proof.integration.machine import BallMachine
 from zeno_orbits.proof.integration.section import SectionStart
 from zeno_orbits.proof.integration.sets import Departure, ProofStage
@@ -28,6 +34,8 @@ _PATIENCE = 1.5
 _TRIALS = 3
 _NEAREST = 30
 """Largest number of halvings of the distance of a trial state."""
+_ON_STOP = 1e-7
+"""Largest gap and gap rate of a closed stop, relative to their sizes."""
 _SAME_TIME = 1e-9
 """Difference of the times of two events at the same time, relative to the period."""
 _PLASTIC = "each plastic impact of the orbit is followed by a flight"
@@ -60,19 +68,20 @@ class ProofStart:
 
     Attributes:
         orbit: The orbit, whose period starts on the section.
-        stop: Name of the stop of the section.
-        struck: True if the section holds the states just after an impact, False for releases.
-        count: Number of releases of this stop in the period, or of impacts on it.
+        kind: The states of the section.
+        event: Name of the stop of the section, or of its switch.
+        count: Number of releases of this stop in the period, of impacts on it, or of passages of
+            the switch.
     """
 
     orbit: Orbit
-    stop: str
-    struck: bool
+    kind: SectionKind
+    event: str
     count: int
 
 
 def proof_start(orbit: Orbit) -> ProofStart:
-    """Return the section of a proof: a release if the orbit has one, otherwise an impact.
+    """Return the section of a proof: a release if there is one, then an impact, then a switch.
 
     Args:
         orbit: The orbit.
@@ -83,7 +92,9 @@ def proof_start(orbit: Orbit) -> ProofStart:
     if orbit.has_phases:
         struck = orbit.shape.without_contact
         count = orbit.shape.n_phases if struck else orbit.shape.n_releases
-        return ProofStart(orbit=orbit, stop="stop", struck=struck, count=count)
+        kind = SectionKind.IMPACT if struck else SectionKind.RELEASE
+        return ProofStart(orbit=orbit, kind=kind, event="stop", count=count)
+    _require_one_contact(orbit)
     names = [event.name for event in orbit.events]
     free = [
         k
@@ -97,16 +108,38 @@ def proof_start(orbit: Orbit) -> ProofStart:
             for k, event in enumerate(orbit.events)
             if event.word == "impact" and (k == len(names) - 1 or event.after is not None)
         ]
+    kind = SectionKind.IMPACT if struck else SectionKind.RELEASE
     if not free:
-        reason = "no contact of the orbit ends by its own force, and it has Zeno points or switches"
-        raise ProofError("shape", f"{reason} only ({', '.join(orbit.sequence)})")
+        kind = SectionKind.SWITCH
+        free = [k for k, event in enumerate(orbit.events) if event.word == "switch"]
+    if not free:
+        reason = "no contact of the orbit ends by its own force, and it has no switch"
+        raise ProofError("shape", f"{reason} ({', '.join(orbit.sequence)})")
     last = names[free[-1]]
-    return ProofStart(
-        orbit=_turned(orbit, free[-1], struck=struck),
-        stop=last.partition(" ")[2],
-        struck=struck,
-        count=names.count(last),
-    )
+    turned = _turned(orbit, free[-1], struck=kind is SectionKind.IMPACT)
+    if kind is SectionKind.SWITCH:
+        turned = replace(turned, start_state=orbit.events[free[-1]].state)
+    event = last.partition(" ")[2]
+    return ProofStart(orbit=turned, kind=kind, event=event, count=names.count(last))
+
+
+def _require_one_contact(orbit: Orbit) -> None:
+    """Raise an error for an orbit on which a stop is struck while another one is closed."""
+    closed = set[str]()
+    # The second turn starts with the stops that are closed at the end of the period.
+    for event in (*orbit.events, *orbit.events):
+        name = event.name.partition(" ")[2]
+        if event.word == "switch":
+            # A switch may open a stop without a further event.
+            closed.clear()
+        elif event.word == "release":
+            closed.discard(name)
+        else:
+            other = min(closed - {name}, default="")
+            reason = f"stop `{name}` is struck while stop `{other}` is closed"
+            require_proved(not other, "shape", f"{reason}, and one stop at a time is proved")
+            if event.word == "zeno":
+                closed.add(name)
 
 
 def _is_caused(orbit: Orbit, k: int) -> bool:
@@ -141,21 +174,67 @@ def ball_machine(
     Raises:
         ProofError: If the machine or the start has a property that is not proved.
     """
-    machine = BallMachine(
-        problem,
-        values,
-        over,
-        start.orbit.period,
-        struck=start.struck,
-        is_graph=not start.orbit.has_phases,
-    )
-    stop = machine.stop_names.index(start.stop)
+    is_graph = not start.orbit.has_phases
+    section, stop = PeriodStart(start.kind), 0
+    if start.kind is SectionKind.SWITCH:
+        section, stop = _before_switch(start, problem, values)
+    period = start.orbit.period
+    machine = BallMachine(problem, values, over, period, section=section, is_graph=is_graph)
+    if start.kind is not SectionKind.SWITCH:
+        stop = machine.stop_names.index(start.event)
     sides = (True,) * (len(machine.switch_names) - machine.n_declared)
     if sides:
         system = machine.view(stop, sides)
         y = [arb(value) for value in prover_state(system, problem, start.orbit)]
-        sides = machine.sides_at(stop, sides, y)
+        sides = _sides_before(machine, stop, sides, y)
     return machine, machine.view(stop, sides)
+
+
+def _before_switch(
+    start: ProofStart, problem: Problem, values: ParameterValues
+) -> tuple[PeriodStart, int]:
+    """Return the section of the states just before a switch, and the stop that was met last.
+
+    Raises:
+        ProofError: If several stops are closed there.
+    """
+    graph, orbit = problem.graph_dynamics(values), start.orbit
+    x = np.asarray(problem.state_vector(orbit.start_state))
+    views = [graph.view(graph.open_mode, k) for k in range(len(graph.stop_names))]
+    closed = [
+        k
+        for k, view in enumerate(views)
+        if abs(view.gap(x)) < _ON_STOP * view.own.gap
+        and abs(view.gap_rate(x)) < _ON_STOP * view.own.gap_rate
+    ]
+    require_proved(len(closed) < 2, "shape", "several stops are closed at the same time")
+    met = [event for event in orbit.events if event.word in ("impact", "zeno", "release")]
+    last = met[-1].name.partition(" ")[2] if met else ""
+    stop = graph.stop_names.index(last) if last else 0
+    switch = problem.compiled_graph().graph.switch_names.index(start.event)
+    section = PeriodStart(SectionKind.SWITCH, switch, locked=bool(closed))
+    return section, closed[0] if closed else stop
+
+
+def _sides_before(
+    machine: BallMachine, stop: int, sides: tuple[bool, ...], y: Sequence[Ball]
+) -> tuple[bool, ...]:
+    """Return the sides of the kinks at the start, before a kink that is crossed there.
+
+    Both sides of this kink are consistent. Its condition falls on the side before it.
+    """
+    kink = machine.section.switch - machine.n_declared
+    if machine.section.switch < 0 or kink < 0:
+        return machine.sides_at(stop, sides, y)
+    for after in (sides, tuple(k != kink for k in range(len(sides)))):
+        before = machine.sides_at(stop, after, y, kink)
+        system = machine.view(stop, before)
+        flow = system.locked if machine.section.locked else system.free
+        gradient = system.guards(y)[machine.section.switch][1]
+        slope = sum((g * f for g, f in zip(gradient, flow.rate(y), strict=True)), ZERO)
+        if bool(slope < 0):
+            return before
+    raise ProofError("switch", "the kink at the start is not crossed transversally")
 
 
 def _require_stop(orbit: Orbit, problem: Problem, values: ParameterValues) -> None:
@@ -205,6 +284,10 @@ def prover_state(system: BallSystem, problem: Problem, orbit: Orbit) -> list[flo
     coordinate = system.expressions.coordinate
     if coordinate is not None:
         x[system.rate] *= coordinate.sign
+        offset = float(system.gap_offset.mid())
+        x[system.gap] = (coordinate.sign * float(own[coordinate.place]) + offset) / system.units[
+            system.gap
+        ]
     for k in system.stopped:
         x[k] = 0.0
     return x
@@ -234,10 +317,14 @@ def walk_period(
     reason = system.light(start.at.box)
     require_proved(not reason, "inertia", reason)
     require_proved(not (system.struck and system.plastic), "shape", _PLASTIC)
-    departure = Departure.STRUCK if system.struck else Departure.RELEASED
-    stop, sides = machine.stop_names.index(given.stop), ()
+    stop, sides = 0, ()
     if system.view is not None:
-        sides = system.view.sides
+        stop, sides = system.view.stop, system.view.sides
+    departure = {
+        SectionKind.RELEASE: Departure.RELEASED,
+        SectionKind.IMPACT: Departure.STRUCK,
+        SectionKind.SWITCH: Departure.LOCKED if machine.section.locked else Departure.FLYING,
+    }[machine.section.kind]
     stage = ProofStage.started(start.at, departure, stop, sides)
     period = given.orbit.period
     radius = max((float(u.rad()) for u in start.at.U), default=0.0)

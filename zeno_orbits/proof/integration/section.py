@@ -17,7 +17,7 @@ from scipy.linalg import qr
 from zeno_orbits.errors import ProofError
 from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, Matrix, column, matrix, on_grid, product
 from zeno_orbits.proof.integration.ball_system import BallSystem
-from zeno_orbits.proof.integration.sets import BallSet, start_set
+from zeno_orbits.proof.integration.sets import MACHINE_WIDER, NEW_WIDER, BallSet, start_set
 
 _NEWTON_STEPS = 8
 _REACHES = (1e9, 1e8, 1e7, 1e6, 1e5, 1e4, 1e3, 100.0, 10.0, 2.0)
@@ -141,7 +141,13 @@ def start_on_section(
         centre=[middle[k] for k in places],
         around=around,
         reached=found,
-        at=start_set(thin, matrix(derivative, len(inputs)), deviations, [*others, *computed]),
+        at=start_set(
+            thin,
+            matrix(derivative, len(inputs)),
+            deviations,
+            [*others, *computed],
+            MACHINE_WIDER if system.view else NEW_WIDER,
+        ),
     )
 
 

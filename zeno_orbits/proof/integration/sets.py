@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,10 @@ from zeno_orbits.proof.arithmetic.balls import (
     symmetric,
 )
 
+NEW_WIDER = 1.5
+"""Factor by which a derivative is widened, so that the checker's arithmetic also confirms it."""
+MACHINE_WIDER = 3.0
+"""The same for machines with several stops or switches, whose formulas are longer."""
 _SWEEPS = 20
 _FARTHEST = 12
 """Largest exponent of a unit, a power of two, in which a flow is balanced."""
@@ -53,6 +58,7 @@ class BallSet:
         C: Matrix near the derivative, exact, ``(n, d)``.
         R: Deviation of the derivative from ``C``, in the frame, around zero, ``(n, d)``.
         U: Start coordinates minus the coordinates of the middle, around zero, ``(d,)``.
+        wider: Factor by which derivatives are widened.
     """
 
     m: list[Ball]
@@ -61,6 +67,7 @@ class BallSet:
     C: Matrix
     R: Matrix
     U: list[Ball]
+    wider: float = NEW_WIDER
 
     @property
     def noise(self) -> list[Ball]:
@@ -107,7 +114,7 @@ class BallSet:
             fine: True if a state of the shared frame must keep its relative precision near zero.
         """
         # Only the new terms are widened. The propagated terms hardly need any slack.
-        derivative = mapped(derivative, _given_wide)
+        derivative = mapped(derivative, partial(scaled, factor=self.wider))
         moved, spread = derivative * self.frame, derivative * self.C
         frame = self._frame(moved, list(rows), metric)
         try:
@@ -142,6 +149,7 @@ class BallSet:
                 R.ncols(),
             ),
             U=self.U,
+            wider=self.wider,
         )
 
     def _frame(self, moved: Matrix, rows: list[int], metric: Vector) -> Matrix:
@@ -176,12 +184,6 @@ def orthogonal(directions: Vector) -> Vector:
 
 _POINT_WIDER = 16.0
 """Factor by which the error of a point is widened: another a-priori box has other remainders."""
-_NEW_WIDER = 1.5
-"""Factor by which a derivative is widened, so that the checker's arithmetic also confirms it."""
-
-
-def _given_wide(x: Ball) -> Ball:
-    return scaled(x, _NEW_WIDER)
 
 
 def _size(x: Ball) -> Ball:
@@ -213,7 +215,11 @@ _LEAST = -20
 
 
 def start_set(
-    m: Sequence[Ball], derivative: Matrix, box: Sequence[Ball], given: Sequence[int]
+    m: Sequence[Ball],
+    derivative: Matrix,
+    box: Sequence[Ball],
+    given: Sequence[int],
+    wider: float = NEW_WIDER,
 ) -> BallSet:
     """Return the set of a start, from its middle and its derivative in balls.
 
@@ -222,6 +228,7 @@ def start_set(
         derivative: Derivative of the state with respect to the start coordinates, ``(n, d)``.
         box: Start coordinates minus the coordinates of the middle, around zero, ``(d,)``.
         given: Computed rows, which may not be exact zeros in another arithmetic.
+        wider: Factor by which derivatives are widened.
     """
     n = len(m)
     exact, C = [one.mid() for one in m], mapped(derivative, middle)
@@ -238,6 +245,7 @@ def start_set(
         C=C,
         R=mapped(matrix(rows, len(box)), _with_slack),
         U=list(box),
+        wider=wider,
     )
 
 
@@ -273,6 +281,7 @@ class Departure(Enum):
     FLYING = "flying"
     RELEASED = "released"
     STRUCK = "struck"
+    OPENED = "opened"
     LOCKED = "locked"
 
 
@@ -338,7 +347,7 @@ class ProofStage:
         metric: Units of the states in which the flow is balanced, powers of two, ``(n,)``.
         stop: Index of the stop that was met last.
         sides: Side of every kink.
-        switched: Index of the switch that was crossed just before, or None.
+        switched: Index of the switch that was crossed just before and whose guard is zero, or None.
     """
 
     at: BallSet

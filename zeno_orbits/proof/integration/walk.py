@@ -17,7 +17,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ProofError
 from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, product
 from zeno_orbits.proof.arithmetic.recurrences import Series
-from zeno_orbits.proof.integration.ball_system import BallSystem
+from zeno_orbits.proof.integration.ball_system import BallSystem, SectionKind, require_proved
 from zeno_orbits.proof.integration.events import (
     Meeting,
     cross,
@@ -37,6 +37,7 @@ from zeno_orbits.proof.integration.sets import (
     ProofStage,
     balanced,
 )
+from zeno_orbits.proof.integration.switches import pass_switch
 
 _EVERY = 500
 """Number of steps after which the number that a period needs is estimated."""
@@ -97,12 +98,14 @@ class PassageEvent:
         stage: The set at the event, or just before it for an impact.
         name: Name of the stop or of the switch.
         plastic: True for a plastic impact that starts contact.
+        opens: Name of the stop that opens at a switch, or an empty text.
     """
 
     kind: PassageKind
     stage: ProofStage
     name: str
     plastic: bool = False
+    opens: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +148,8 @@ class ProofPassage:
                     words.pop()
                 words.append(self._held(event))
             elif event.kind is PassageKind.SWITCH:
-                words.append(f"switch {event.name}")
+                release = f" with release of {event.opens}" if event.opens else ""
+                words.append(f"switch {event.name}{release}")
             else:
                 words.append(f"release of {event.name}")
         return tuple(words)
@@ -158,7 +162,7 @@ class ProofPassage:
     @property
     def period(self) -> BallTime:
         """Time of the return to the section."""
-        return self.events[-1].stage.time
+        return self.end.time
 
     def _times(self, kind: PassageKind) -> tuple[BallTime, ...]:
         return tuple(one.stage.time for one in self.events if one.kind is kind)
@@ -183,15 +187,17 @@ def walk(
     Args:
         machine: The problem.
         start: The set on the section.
-        count: Number of releases of the section's stop in the period, or of impacts on it if the
-            period starts just after an impact.
+        count: Number of releases of the section's stop in the period, of impacts on it if the
+            period starts just after an impact, or of passages of the switch before which it starts.
         settings: Settings of the enclosure.
         tell: Called with the stage and the time reached [s].
 
     Raises:
         ProofError: If a condition is not proved. The error names the claim.
     """
-    way = _Way(machine=machine, settings=settings, tell=tell, stage=start)
+    way = _Way(machine=machine, settings=settings, tell=tell, stage=start, count=count)
+    if machine.section.kind is SectionKind.SWITCH:
+        way.switch(machine.section.switch)
     while way.n_returns < count:
         try:
             way.follow()
@@ -203,6 +209,9 @@ def walk(
                 summed = False
             if not summed:
                 raise error from None
+    ended = way.stage.stop, way.stage.sides, way.stage.departure is Departure.LOCKED
+    returned = ended == (start.stop, start.sides, start.departure is Departure.LOCKED)
+    require_proved(returned, "shape", "the motion returns to its section in another mode")
     return ProofPassage(
         records=tuple(way.records),
         events=tuple(way.events),
@@ -214,11 +223,17 @@ class _Way:
     """A set within its period, with the records that led to it."""
 
     def __init__(
-        self, *, machine: BallMachine, settings: WalkSettings, tell: Tell, stage: ProofStage
+        self,
+        *,
+        machine: BallMachine,
+        settings: WalkSettings,
+        tell: Tell,
+        stage: ProofStage,
+        count: int,
     ) -> None:
         self.records: list[ProofRecord] = []
         self.events: list[PassageEvent] = []
-        self.n_returns = 0
+        self.n_returns, self._count = 0, count
         self.stage = stage
         self._n_impacts = 0
         self._machine, self._settings, self._tell = machine, settings, tell
@@ -248,10 +263,13 @@ class _Way:
             self._tell(self.stage.departure.value, now)
             self._require_few(now)
         if met.kind == "switch":
-            self._switch(met.number)
+            self.n_returns += met.number == self._machine.section.switch
+            if self.n_returns < self._count:
+                self.switch(met.number)
         elif met.kind == "release":
             self._note(PassageKind.RELEASE)
-            self.n_returns += self._on_section and not self._system.struck
+            at_release = self._machine.section.kind is SectionKind.RELEASE
+            self.n_returns += self._on_section and at_release
         else:
             self._strike()
 
@@ -265,25 +283,20 @@ class _Way:
             if needed > most:
                 raise ProofError("steps", reason)
 
-    def _switch(self, switch: int) -> None:
-        """Pass a switch: the reset of a declared switch, and the sides of the kinks."""
-        self._note(PassageKind.SWITCH, self._machine.switch_names[switch])
-        system, stage = self._system, self.stage
-        image, box = system.switched(switch, stage.at.m)[0], stage.at.box
-        derivative = system.switched(switch, box)[1]
-        locked = stage.departure is Departure.LOCKED
-        rows = system.turning_rows(None) if locked else system.moving_rows
-        result = stage.at.mapped(image, derivative, rows, stage.metric)
-        kink = switch - self._machine.n_declared
-        crossed = kink if kink >= 0 else None
-        sides = self._machine.sides_at(stage.stop, stage.sides, result.box, crossed)
-        fields = {"sides": [int(side) for side in sides]}
-        self.records.append(
-            ProofRecord(kind="switch", numbers={}, orders=(), result=result, fields=fields)
-        )
-        after = stage.next(result, stage.departure, stage.time)
-        self.stage = replace(after, sides=sides, switched=switch)
-        self._pace.size = self._settings.first * system.period
+    def switch(self, switch: int) -> None:
+        """Pass a switch: the reset of a declared switch, and the sides of the kinks.
+
+        Args:
+            switch: Index of the switch.
+        """
+        record, after = pass_switch(self._machine, self.stage, switch)
+        opens = self.stage.departure is Departure.LOCKED and after.departure is not Departure.LOCKED
+        name, stop = self._machine.switch_names[switch], self._machine.stop_names[self.stage.stop]
+        self._note(PassageKind.SWITCH, name, opens=stop if opens else "")
+        self.records.append(record)
+        # A tail replaces impacts only up to the next event of another kind.
+        self.stage, self._slow = after, None
+        self._pace.size = self._settings.first * self._system.period
 
     def _strike(self) -> None:
         settings, rate = self._settings, self._system.rate
@@ -324,9 +337,11 @@ class _Way:
         self._note(PassageKind.ZENO_POINT, plastic=self._system.plastic)
         self._pace.size = self._settings.first * self._system.period
 
-    def _note(self, kind: PassageKind, name: str = "", *, plastic: bool = False) -> None:
+    def _note(
+        self, kind: PassageKind, name: str = "", *, plastic: bool = False, opens: str = ""
+    ) -> None:
         name = name or self._machine.stop_names[self.stage.stop]
-        event = PassageEvent(kind=kind, stage=self.stage, name=name, plastic=plastic)
+        event = PassageEvent(kind=kind, stage=self.stage, name=name, plastic=plastic, opens=opens)
         self.events.append(event)
 
 
@@ -437,7 +452,10 @@ def _move(
         if not shortened:
             pace.size = size * max(0.5, min(4.0, 0.9 * excess ** (-1 / (orders[1] + 1))))
         rows = system.turning_rows(None) if locked else system.moving_rows
-        near = bool(stage.at.box[system.rate].abs_upper() < _NEAR)
+        rate = stage.at.box[system.rate]
+        near = bool(rate.abs_upper() < _NEAR)
+        # After an opening the rate is no longer tiny, and an absent stop has none.
+        near = near and (stage.departure is Departure.RELEASED or not rate.is_zero())
         result = stage.at.mapped(image, derivative, rows, stage.metric, fine=not locked and near)
         record = ProofRecord(kind="step", numbers={"h": exact}, orders=orders, result=result)
         departure = Departure.LOCKED if locked else Departure.FLYING
@@ -454,6 +472,7 @@ _CLAIMS = {
     Departure.FLYING: "flight",
     Departure.RELEASED: "leaves",
     Departure.STRUCK: "flight",
+    Departure.OPENED: "leaves",
     Departure.LOCKED: "locked",
 }
 """Name of the claim that a step contributes to."""
@@ -536,6 +555,10 @@ def contact_reason(
         jerk = _jerk(flow, box, system.rate)
         left = is_clear(jerk) and end is not None
         return "" if left else f"`d3h/dt3` is not proved positive at the release ({jerk})"
+    if departure is Departure.OPENED:
+        pull = flow.rate(box)[system.rate]
+        left = is_clear(pull) and end is not None
+        return "" if left else f"`gap_acceleration` is not proved positive after a switch ({pull})"
     gap, rate = box[system.gap], box[system.rate]
     struck = departure is Departure.STRUCK
     away = bool(start[system.rate if struck else system.gap] > 0)

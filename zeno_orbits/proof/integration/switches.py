@@ -1,0 +1,81 @@
+"""Switches of a set: the reset, the sides of the kinks, and the mode that follows.
+
+A reset may exchange coordinates and change velocities. Gaps and gap rates are then set anew by
+their formulas, ``h(R(x))`` and ``dh/dt(R(x))``. If both are zero at a closed stop, the contact
+lasts for a negative gap acceleration of the free flow, and opens at once for a positive one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from zeno_orbits.errors import ProofError
+from zeno_orbits.proof.arithmetic.balls import Ball, product
+from zeno_orbits.proof.integration.ball_system import require_proved
+from zeno_orbits.proof.integration.events import is_clear
+from zeno_orbits.proof.integration.machine import BallMachine
+from zeno_orbits.proof.integration.sets import Departure, ProofRecord, ProofStage
+
+_MODES = {
+    Departure.LOCKED: "locked",
+    Departure.OPENED: "opened",
+    Departure.FLYING: "free",
+}
+"""Mode after a switch, in the words of the certificate."""
+
+
+def pass_switch(
+    machine: BallMachine, stage: ProofStage, switch: int
+) -> tuple[ProofRecord, ProofStage]:
+    """Apply a switch and return its record and the set after it.
+
+    Args:
+        machine: The problem.
+        stage: The set just before the switch.
+        switch: Index of the switch.
+
+    Raises:
+        ProofError: If the mode after the switch is not proved.
+    """
+    system, at = machine.view(stage.stop, stage.sides), stage.at
+    image, derivative = system.switched(switch, at.m)[0], system.switched(switch, at.box)[1]
+    moved = product(derivative, at.deviation)
+    box = [a + b for a, b in zip(image, moved, strict=True)]
+    kink = switch - machine.n_declared
+    sides = machine.sides_at(stage.stop, stage.sides, box, kink if kink >= 0 else None)
+    after = machine.view(stage.stop, sides)
+    departure = _departure(machine, stage, sides, box)
+    # A guard that is not zero after the switch is an ordinary guard again.
+    kept = kink >= 0 or not bool(after.guards(box)[switch][0] != 0)
+    on_stop = departure is not Departure.FLYING
+    rows = system.turning_rows(None) if on_stop else system.moving_rows
+    result = at.mapped(image, derivative, rows, stage.metric)
+    fields = {
+        "sides": [int(side) for side in sides],
+        "mode": _MODES[departure],
+        "kept": int(kept),
+    }
+    record = ProofRecord(kind="switch", numbers={}, orders=(), result=result, fields=fields)
+    following = stage.next(result, departure, stage.time)
+    return record, replace(following, sides=sides, switched=switch if kept else None)
+
+
+def _departure(
+    machine: BallMachine, stage: ProofStage, sides: tuple[bool, ...], box: Sequence[Ball]
+) -> Departure:
+    """Return the mode after a switch, and the position relative to the stop."""
+    system = machine.view(stage.stop, sides)
+    held = stage.departure is Departure.LOCKED
+    held = held and box[system.gap].is_zero() and box[system.rate].is_zero()
+    for view in machine.views(sides):
+        apart = (held and view.gap == system.gap) or bool(box[view.gap] > 0)
+        require_proved(apart, "switch", "a gap is not proved positive just after a switch")
+    if not held:
+        return Departure.FLYING
+    force = system.locked.guard(box)[0]
+    if is_clear(force):
+        return Departure.LOCKED
+    if is_clear(-force):
+        return Departure.OPENED
+    raise ProofError("switch", "the contact force may be zero just after a switch")
