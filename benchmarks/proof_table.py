@@ -11,6 +11,7 @@ by the checker, or if an orbit is closed and not proved.
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -34,7 +35,14 @@ def seconds() -> float:
 
 
 def closed(problem: zo.Problem, wanted: Sequence[float]) -> Iterator[tuple[float, zo.Orbit | str]]:
-    """Yield the orbit at each restitution, or why there is none, from the default one outward."""
+    """Yield the orbit at each restitution, or why there is none, from the default one outward.
+
+    A machine without such a parameter has one row.
+    """
+    if "restitution" not in problem.names:
+        found = zo.find_orbit_by_shooting(problem)
+        yield math.nan, found.detail if found.orbit is None else found.orbit
+        return
     own = problem.values().parameters["restitution"]
     known: dict[float, zo.Orbit] = {}
     default = zo.find_orbit_by_shooting(problem)
