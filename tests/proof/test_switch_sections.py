@@ -249,6 +249,33 @@ def test_a_block_that_is_put_below_its_table_is_named() -> None:
 
 
 @pytest.mark.slow
+def test_a_reset_throws_a_block_up_from_its_table() -> None:
+    problem = switched.thrown_block()
+    orbit = zo.find_event_orbit(problem)
+    proof = zo.prove(orbit, problem=problem)
+    assert proof.proved, proof.verdict()
+    assert proof.bounds is not None
+    assert proof.events == ("switch throw with release of table", "Zeno point of table")
+    flight = 2 * 4.0 / switched.GRAVITY
+    assert proof.bounds.impact_times[0].misses(flight) < 1e-15
+    assert proof.bounds.zeno_times[0].misses(flight / (1 - 0.3)) < 1e-15
+    certificate = dict(proof.certificate)
+    assert check_proof(certificate, problem).ok
+    for mode in ("free", "locked", "opened"):
+        edited = copy.deepcopy(certificate)
+        _switches(edited)[0]["mode"] = mode
+        assert not _conclusions(edited, problem)
+    for speed in ("0x0p0", "-0x1p2"):
+        edited = copy.deepcopy(certificate)
+        edited["parameters"]["throw"] = speed
+        assert not _conclusions(edited, problem)
+    down = replace(orbit, parameters={**orbit.parameters, "throw": -4.0})
+    refused = zo.prove(down, problem=problem)
+    assert (refused.proved, refused.claim) == (False, "switch")
+    assert "struck just after a switch" in refused.reason
+
+
+@pytest.mark.slow
 def test_two_stops_that_are_closed_at_the_same_time_are_refused_with_their_names() -> None:
     problem = switched.two_blocks()
     proof = zo.prove(zo.find_event_orbit(problem), problem=problem)

@@ -162,6 +162,44 @@ def lifted_block() -> Problem:
     )
 
 
+def thrown_block() -> Problem:
+    """Return a block that rests on its table, and that a switch of the clock throws up."""
+
+    def model(p: Mapping[str, Any]) -> CompletedSystem:
+        height, speed = ca.SX.sym("height"), ca.SX.sym("speed")
+        clock = zo.Clock.at(p["omega"])
+        block = zo.HybridLagrangian.from_energies(
+            q=height,
+            v=speed,
+            kinetic=speed**2 / 2,
+            potential=GRAVITY * height,
+            clock=clock,
+            stops=(zo.Stop(name="table", gap=height, restitution=p["restitution"]),),
+        )
+        throw = zo.Switch(
+            name="throw", guard=clock.cosine, armed=clock.sine, v_after=speed + p["throw"]
+        )
+        return zo.hybrid_system(block, zo.no_drive(block), switches=(throw,))
+
+    return Problem(
+        name="thrown_block",
+        title="block that is thrown up from its table",
+        source="closed form",
+        state_names=("height", "speed", "cosine", "sine"),
+        state_units=("m", "m/s", "1", "1"),
+        parameters=(
+            zo.Quantity.positive("omega", 3.0, "rad/s", "clock"),
+            zo.Quantity(name="throw", unit="m/s", meaning="speed", default=4.0, lower=-9.0),
+            zo.Quantity.restitution(0.3),
+        ),
+        gains=(),
+        model=model,
+        starts=({"height": 0.01, "cosine": 1.0},),
+        portraits=(("height", "speed"),),
+        amplitude_of="height",
+    )
+
+
 def two_blocks() -> Problem:
     """Return two blocks on one shaken table, of which both rest at the same time."""
 

@@ -30,6 +30,9 @@ from zeno_orbits.model import (
     watched,
 )
 
+_DEEP = 30
+"""Depth to which two formulas of a gap are compared."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GapCoordinate:
@@ -213,7 +216,8 @@ def proof_expressions(
     one = ca.SX.sym("one")
     outputs, names, values = _without_constants(function, one * x, one * p)
     over = [symbols[name] for name in carried]
-    formulas, coordinate = _Formulas._make([*outputs[:9], outputs[9:]]), None
+    resets = [_bare(*pair, x) for pair in zip(outputs[9:], seen.resets, strict=True)]
+    formulas, coordinate = _Formulas._make([*outputs[:9], resets]), None
     if len(seen.gaps) == 1 and not seen.moves:
         coordinate = _coordinate(system.n_q, x, one, formulas.gap, formulas.free, over)
     if coordinate is None:
@@ -329,7 +333,7 @@ def _with_gap_states(
     off_section = ca.vertcat(f.gap, f.holonomic)
     own_ends = paired(f.gaps, rates)
     resets = [
-        ca.vertcat(reset, ca.substitute(own_ends, x, reset) if moves else ends, *over)
+        ca.vertcat(reset, _ends_after(own_ends, x, reset, ends) if moves else ends, *over)
         for reset, moves in zip(f.resets, moving, strict=True)
     ]
     return _Form(
@@ -352,6 +356,21 @@ def _with_gap_states(
         },
         resets=resets,
     )
+
+
+def _bare(reset: ca.SX, given: ca.SX, x: ca.SX) -> ca.SX:
+    """Return a reset without the factors 1 of the states that it leaves unchanged."""
+    rows = [x[k] if ca.is_equal(given[k], x[k]) else reset[k] for k in range(x.numel())]
+    return ca.vertcat(*rows)
+
+
+def _ends_after(own: ca.SX, x: ca.SX, reset: ca.SX, ends: ca.SX) -> ca.SX:
+    """Return gaps and gap rates after a reset. Unchanged ones are their own states."""
+    after = ca.substitute(own, x, reset)
+    rows = [
+        ends[k] if ca.is_equal(after[k], own[k], _DEEP) else after[k] for k in range(own.numel())
+    ]
+    return ca.vertcat(*rows)
 
 
 def _with_gap_coordinate(

@@ -65,6 +65,8 @@ _RECORDS = {
 }
 _FURTHER = {"cross": ("meets",), "impact": ("sides",), "switch": ("sides", "mode", "kept")}
 """Further entries of the records of a machine with several stops, switches or kinks."""
+_BEGAN = {"opened": "opened", "thrown": "impact"}
+"""Modes after a switch in which a closed stop opens, and the start of the flight that follows."""
 _BITS = range(64, 1025)
 _MOST = {"passes": 4, "basin": 16, "claims": 20_000, "records": 50_000}
 _CHUNK = 300
@@ -367,8 +369,8 @@ def _passed(
     if kind == "switch":
         _require_other_side(machine, here, sides)
         mode, kept = _after_switch(machine, here, record)
-        crossed, began = here.switch if kept else -1, "opened" if mode == "opened" else ""
-        mode = "free" if mode == "opened" else mode
+        crossed, began = here.switch if kept else -1, _BEGAN.get(mode, "")
+        mode = "free" if mode in _BEGAN else mode
         return place._replace(crossed=crossed), RecordPosition(mode, began, view, crossed)
     held = kind == "tail" or machine.is_plastic(here.view)
     return place, RecordPosition(*(("locked", "") if held else ("free", "impact")), view)
@@ -386,8 +388,9 @@ def _after_switch(
 ) -> tuple[str, bool]:
     """Return the mode after a switch, and True if its guard is zero after it.
 
-    Contact lasts, or opens at once, only if gap and gap rate are zero after the switch. The guard
-    is zero after a kink, and after a reset that keeps the guard.
+    Contact lasts, or opens at once, only if gap and gap rate are zero after the switch. A stop is
+    left with a speed, as after an impact, only if its gap is zero. The guard is zero after a kink,
+    and after a reset that keeps the guard.
     """
     system, k = machine.systems[here.view], here.switch
     mode, kept = record["mode"], record["kept"]
@@ -395,7 +398,7 @@ def _after_switch(
     moves, closed = declared and system.moves[k], not declared or system.closed[k]
     modes = {"free"} if here.mode == "free" or not closed else {"locked", "opened"}
     if here.mode == "locked" and moves:
-        modes.add("free")
+        modes |= {"free", "thrown"} if system.rests[k] else {"free"}
     if not isinstance(mode, str) or mode not in modes:
         raise InputError(f"The certificate's `mode` of a switch must be {' or '.join(modes)}.")
     if type(kept) is not int or kept not in ((0, 1) if declared else (1,)):

@@ -175,8 +175,12 @@ def require_reset(system: System, box: Array, switch: int, mode: str) -> None:
         system: The system on the sides after it.
         box: Box of the states after it.
         switch: The switch.
-        mode: Mode after it: `free`, `locked`, or `opened` for a stop that opens at once.
+        mode: Mode after it: `free`, `locked`, `opened` for a stop that opens at once, or `thrown`
+            for a stop that is left with a speed.
     """
+    if mode == "thrown":
+        rate = system.gap_rate(box)
+        require(rate.low > 0, f"the gap rate after a reset may be {rate.shown()}")
     if switch >= system.n_declared or not system.moves[switch]:
         return
     for k in system.gap_rows:

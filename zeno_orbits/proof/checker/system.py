@@ -58,6 +58,7 @@ class System:
             reset, so that it is zero after it.
         closed: True for each reset after which the own gap and gap rate are zero if they were zero
             before it.
+        rests: True for each reset after which the own gap is zero if it was zero before it.
     """
 
     graph: Graph
@@ -70,6 +71,7 @@ class System:
     moves: list[bool]
     kept: list[bool]
     closed: list[bool]
+    rests: list[bool]
     z: list[int]
     constants: dict[int, Ball]
     flow: dict[str, Row]
@@ -229,7 +231,8 @@ def bound_system(
     settling = [k for k in range(n_x + len(carried)) if k not in own]
     ends = [node for pair in zip(gaps, gap_rates, strict=True) for node in pair]
     changes = [
-        _Change.of(graph, x, one, ends, guard) for one, guard in zip(resets, guards, strict=False)
+        _Change.of(graph, x, one, ends, carried, guard)
+        for one, guard in zip(resets, guards, strict=False)
     ]
     require(row is None or not any(one.moves for one in changes), "a switch moves the pinned gap")
     nodes: dict[str, Row] = {
@@ -283,10 +286,8 @@ def bound_system(
         changed=[one.states for one in changes],
         moves=[one.moves for one in changes],
         kept=[one.keeps_guard for one in changes],
-        closed=[
-            not one.moves or one.ends[2 * stop : 2 * stop + 2] == [graph.zero] * 2
-            for one in changes
-        ],
+        closed=[not one.moves or all(one.stays[2 * stop : 2 * stop + 2]) for one in changes],
+        rests=[not one.moves or one.stays[2 * stop] for one in changes],
     )
 
 
@@ -301,13 +302,15 @@ class _Change(NamedTuple):
     Attributes:
         states: States that it changes.
         moves: True if a gap or a gap rate depends on one of them.
-        ends: Nodes of gap and gap rate of each stop after it.
+        ends: Nodes of gap and gap rate of each stop after it. Unchanged ones are their own states.
+        stays: True for each of these that is zero after it if it was zero before it.
         keeps_guard: True if the guard has the same value before and after it.
     """
 
     states: list[int]
     moves: bool
     ends: list[int]
+    stays: list[bool]
     keeps_guard: bool
 
     @classmethod
@@ -317,6 +320,7 @@ class _Change(NamedTuple):
         x: Sequence[int],
         reset: Sequence[int],
         ends: Sequence[int],
+        carried: Sequence[int],
         guard: int,
     ) -> _Change:
         """Return what a reset changes.
@@ -326,6 +330,7 @@ class _Change(NamedTuple):
             x: Inputs of the state.
             reset: The state after it.
             ends: Gap and gap rate of each stop.
+            carried: Inputs of gap and gap rate of each stop, empty if a coordinate is the gap.
             guard: The guard of the switch.
         """
         states = [k for k, node in enumerate(reset) if node != x[k]]
@@ -334,7 +339,12 @@ class _Change(NamedTuple):
         *after, next_guard = graph.composed([*ends, guard], dict(zip(x, reset, strict=True)))
         keeps = changed.isdisjoint(graph.needed([guard]))
         keeps = keeps or are_equal(graph, [next_guard], [guard])
-        return cls(states, moves, after if moves else [*ends], keeps)
+        if not carried or not moves:
+            return cls(states, moves, [*ends], [not moves] * len(ends), keeps)
+        rows = zip(after, ends, carried, strict=True)
+        after = [own if node == before else node for node, before, own in rows]
+        stays = [node in (graph.zero, own) for node, own in zip(after, carried, strict=True)]
+        return cls(states, moves, after, stays, keeps)
 
 
 class _Given(NamedTuple):

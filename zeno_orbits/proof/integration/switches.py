@@ -2,7 +2,8 @@
 
 A reset may exchange coordinates and change velocities. Gaps and gap rates are then set anew by
 their formulas, ``h(R(x))`` and ``dh/dt(R(x))``. If both are zero at a closed stop, the contact
-lasts for a negative gap acceleration of the free flow, and opens at once for a positive one.
+lasts for a negative gap acceleration of the free flow, and opens at once for a positive one. A
+stop that is left with a positive gap rate is left as after an impact.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ _MODES = {
     Departure.LOCKED: "locked",
     Departure.OPENED: "opened",
     Departure.FLYING: "free",
+    Departure.STRUCK: "thrown",
 }
 """Mode after a switch, in the words of the certificate."""
 
@@ -48,8 +50,9 @@ def pass_switch(
     departure = _departure(machine, stage, sides, box)
     # A guard that is not zero after the switch is an ordinary guard again.
     kept = kink >= 0 or not bool(after.guards(box)[switch][0] != 0)
+    rate = box[system.rate] if departure is Departure.STRUCK else None
     on_stop = departure is not Departure.FLYING
-    rows = system.turning_rows(None) if on_stop else system.moving_rows
+    rows = system.turning_rows(rate) if on_stop else system.moving_rows
     result = at.mapped(image, derivative, rows, stage.metric)
     fields = {
         "sides": [int(side) for side in sides],
@@ -66,13 +69,16 @@ def _departure(
 ) -> Departure:
     """Return the mode after a switch, and the position relative to the stop."""
     system = machine.view(stage.stop, sides)
-    held = stage.departure is Departure.LOCKED
-    held = held and box[system.gap].is_zero() and box[system.rate].is_zero()
+    held = stage.departure is Departure.LOCKED and box[system.gap].is_zero()
     for view in machine.views(sides):
         apart = (held and view.gap == system.gap) or bool(box[view.gap] > 0)
         require_proved(apart, "switch", "a gap is not proved positive just after a switch")
     if not held:
         return Departure.FLYING
+    rate = box[system.rate]
+    if not rate.is_zero():
+        require_proved(is_clear(rate), "switch", "a closed stop is struck just after a switch")
+        return Departure.STRUCK
     force = system.locked.guard(box)[0]
     if is_clear(force):
         return Departure.LOCKED
