@@ -104,7 +104,7 @@ def check_proof(
                 raise InputError("The certificate's boxes must lie in its first box.")
             _listed(part, "records")
             try:
-                passage = _passage(machine, section, boxes[k], start, records)
+                passage = passage_of(machine, section, boxes[k], start, records)
                 passages.append(replace(passage, box_number=k + 1))
                 told = f"{len(records)} inclusions"
                 verdicts.append(ClaimVerdict(f"motion {k}", True, told, k + 1))
@@ -253,10 +253,28 @@ def require_order(data: Mapping[str, Any], problem: Problem) -> None:
             _stations(machine, section, part["records"], _RECORDS)
 
 
-def _passage(
-    machine: Machine, section: ContactSection, box: Box, start: Any, records: Sequence[Any]
+def passage_of(
+    machine: Machine,
+    section: ContactSection,
+    box: Box,
+    start: Any,
+    records: Sequence[Any],
+    *,
+    alone: bool = False,
 ) -> Passage:
-    """Prove the start, each record separately, and the return, or raise an error."""
+    """Prove the start, each record separately, and the return.
+
+    Args:
+        machine: The systems of the certificate.
+        section: Its section.
+        box: The box of the pass.
+        start: Its first set.
+        records: Its records.
+        alone: True if this process proves all records, as a worker does.
+
+    Raises:
+        NotProved: If the start, a record or the return is not proved.
+    """
     system = machine.first
     stations = _stations(machine, section, records, _RECORDS)
     sets = [start, *(record["set"] for record in records)]
@@ -273,8 +291,8 @@ def _passage(
         require(x.size <= reach.r, f"section: state {k} does not return to it")
     judge, tasks = partial(_proved, machine, box), list(zip(stations, sets, records, strict=False))
     proved = (
-        judge(tasks)
-        if len(tasks) <= _CHUNK
+        [one for k in range(0, len(tasks), _CHUNK) for one in judge(tasks[k : k + _CHUNK])]
+        if alone or len(tasks) <= _CHUNK
         else parallel_map(judge, tasks, ExecutionPlan(chunk=_CHUNK))
     )
     times = np.array([[Ball(0, 0, system.bits)] * (1 + len(box.spread))])

@@ -82,6 +82,18 @@ class Passage:
         once = self._krawczyk(self.box.spread)
         return once, self._krawczyk(once)
 
+    def state_at(self, offset: Array) -> Array:
+        """Return the states of the fixed points at some values of the parameters, ``(n_x,)``.
+
+        Args:
+            offset: The parameters minus those of the centre, within the box, as balls.
+        """
+        d, (rows,) = self.d, self.enclosed["start_state"]
+        inside = np.concatenate([self.box.spread[:d], offset])
+        for _ in range(2):
+            inside = np.concatenate([self._krawczyk(inside)[:d], offset])
+        return rows[:, 0] + rows[:, 1:] @ inside
+
     def _krawczyk(self, spread: Array) -> Array:
         d, one = self.d, exactly(np.eye(self.d, dtype=int), self.bits)
         off = one - self.slope[:, :d]

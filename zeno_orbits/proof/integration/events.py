@@ -387,8 +387,10 @@ _LEADING_ZEROS = {
 """Number of Taylor coefficients of the gap that are zero at the start."""
 _SPEED_SHARE = 0.25
 """Part of the polydisc that the tail with the highest speed may cross."""
-_RADII = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+_RADII = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 """Trial radii of the polydisc, relative to the size of each state."""
+_USUAL, _ROOM = 1e-4, 1e3
+"""First trial radius for slow impacts, and as a multiple of the gap rate for faster ones."""
 
 
 def strike(system: BallSystem, stage: ProofStage) -> tuple[ProofRecord, ProofStage]:
@@ -480,8 +482,10 @@ def polydisc(system: BallSystem, box: Sequence[Ball]) -> Polydisc:
     Raises:
         ProofError: If the accumulation of impacts is not proved.
     """
-    reason = ""
-    for share in _RADII:
+    reason, wanted = "", max(_USUAL, _ROOM * float(box[system.rate].abs_upper()))
+    # Wide polydiscs have wide bounds, and narrow ones have wide bounds of the derivatives.
+    wide = sorted(share for share in _RADII if share >= wanted)
+    for share in (*wide, *(one for one in _RADII if one < wanted)):
         try:
             return _polydisc(system, box, share)
         except ProofError as error:
@@ -494,11 +498,11 @@ def _polydisc(system: BallSystem, box: Sequence[Ball], share: float) -> Polydisc
     speed_now = box[rate].abs_upper()
     radius = [arb(share) * (1 + x.abs_upper()) for x in box]
     radius = [arb(float(one.mid())) for one in radius]
-    speed, e = arb(share * 1e-6), system.impact(box).restitution.upper()
+    speed, e = arb(share * 0.1), system.impact(box).restitution.upper()
     for _ in range(40):
         # In all flights the gap and its rate stay far within these bounds, as `_bounds` checks.
         radius[gap] = speed
-        radius[rate] = arb(float((speed * (4 + 8 / (1 - e))).mid()))
+        radius[rate] = arb(float((speed * (8 + 16 / (1 - e))).mid()))
         found = _bounds(system, box, radius, speed)
         if found is not None:
             break
@@ -548,18 +552,17 @@ def _bounds(
     c: list[Ball] = []
     delta: list[Ball] = []
     for i in range(system.n):
-        if i in (gap, rate):
-            c.append(ZERO)
-            delta.append(ONE)
-            continue
         moved = longest * flow[i].abs_upper()
-        c.append(moved + (1 + e) * kappa * direction[i].abs_upper())
-        if c[i].is_zero():
-            delta.append(radius[i])
-            continue
-        delta.append(radius[i] - speed * (moved + c[i] / (1 - rho)))
-        if not bool(delta[i] > 0):
+        reach = moved + (1 + e) * kappa * direction[i].abs_upper()
+        delta.append(radius[i] - speed * (moved + reach / (1 - rho)))
+        crossed = 0.75 if i in (gap, rate) else _SPEED_SHARE
+        if not reach.is_zero() and not bool(delta[i] > (1 - crossed) * radius[i]):
             return None
+        if i in (gap, rate):
+            reach, delta[i] = ZERO, ONE
+        elif reach.is_zero():
+            delta[i] = radius[i]
+        c.append(reach)
     # In flight the rate is at most (2 + kappa) w, and the gap at most this rate times S w.
     high, fast = longest * speed * flow[gap].abs_upper(), speed * (2 + kappa)
     if not (bool(high < radius[gap]) and bool(fast < radius[rate])):

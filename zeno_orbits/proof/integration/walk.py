@@ -43,11 +43,15 @@ _EVERY = 500
 """Number of steps after which the number that a period needs is estimated."""
 _NEAR = 1e-3
 """Gap rate, in its unit, below which flights are short and their rows must keep their precision."""
+_LAST = 1e-12
+"""Gap rate, relative to the fastest impact, below which a failed Zeno tail ends a proof."""
 _SHORTEST = 1e-5
 """Smallest step in flight and in contact, as a part of the longest step."""
 _JUST_BEYOND = 1 + 2.0**-6
 _BEYOND = 1 + 2.0**-3
 """Length of the step of a crossing, as a multiple of the time of the crossing."""
+_FARTHER = (1.25, 1.5, 2.0)
+"""The same multiples for sets that are too wide for a shorter step, in the order of the trials."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -315,13 +319,24 @@ class _Way:
             speed = self.stage.at.box[rate]
             if bool(speed < settings.slow * self._fastest):
                 self._slow = self.stage, len(self.records)
-            if bool(speed < settings.slowest * self._fastest) and self.sum_up():
+            if bool(speed < settings.slowest * self._fastest) and self._sum_up_early():
                 return
         if self.stage.departure is Departure.LOCKED:
             self._hold()
         elif self._n_impacts > settings.most_impacts:
             count = self._n_impacts
             raise ProofError("zeno_point", f"impacts do not accumulate in {count} of them")
+
+    def _sum_up_early(self) -> bool:
+        """Try a Zeno tail from the last impact. Faster impacts may still be too fast for it."""
+        slow = self._slow
+        try:
+            return self.sum_up()
+        except ProofError:
+            if bool(self.stage.at.box[self._system.rate] < _LAST * self._fastest):
+                raise
+            self._slow = slow
+            return False
 
     def sum_up(self) -> bool:
         """Replace all impacts after a slow last impact by a Zeno tail. Return True on success."""
@@ -414,7 +429,7 @@ def _move(
     shortened = guess is not None
     over = flow.series(stage.at.box, orders[1])
     stage = replace(stage, metric=balanced(over.derivative[1]))
-    reason = "no box holds the motions over a step"
+    reason, later = "no box holds the motions over a step", list(_FARTHER)
     while size >= least:
         exact = _dyadic(size)
         meets = guess is not None and guess < float(exact)
@@ -423,7 +438,7 @@ def _move(
             size = size / 2
             continue
         excess = excess_of(step, stage.metric, settings.rest, settings.derivative_rest)
-        if excess > 1.0 and size > least:
+        if excess > 1.0 and size > least and len(later) == len(_FARTHER):
             size = max(least, size * max(0.25, 0.9 * excess ** (-1 / (orders[1] + 1))))
             continue
         image, derivative = step.point(points, exact), step.derivative(exact)
@@ -447,7 +462,14 @@ def _move(
         if meets and guess is not None:
             stop = met.number if met.kind == "stop" else stage.stop
             seen = machine.view(stop, stage.sides)
-            record, after = cross(seen, stage, step, points, arb(guess), met)
+            try:
+                record, after = cross(seen, stage, step, points, arb(guess), met)
+            except ProofError:
+                # The motions of a wide set cross at times that differ more than a step exceeds one.
+                if not later:
+                    raise
+                size = guess * later.pop(0)
+                continue
             return record, replace(after, stop=stop), met
         if not shortened:
             pace.size = size * max(0.5, min(4.0, 0.9 * excess ** (-1 / (orders[1] + 1))))
