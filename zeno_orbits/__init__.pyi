@@ -25,7 +25,9 @@ from .api import identify as identify
 from .api import largest_push as largest_push
 from .api import parameter_map as parameter_map
 from .api import plot as plot
+from .api import check_branch as check_branch
 from .api import prove as prove
+from .api import prove_branch as prove_branch
 from .api import recovery as recovery
 from .api import reduced_model_errors as reduced_model_errors
 from .api import report_page as report_page
@@ -130,6 +132,8 @@ from .precision.accuracy import ExecutionWithError as ExecutionWithError
 from .precision.landmark import execution_distance as execution_distance
 from .precision.trials import WorkPrecisionSettings as WorkPrecisionSettings
 from .precision.work_precision import WorkPrecision as WorkPrecision
+from .proof.branch_theorem import BranchProof as BranchProof
+from .proof.checker.branch_verdict import BranchVerdict as BranchVerdict
 from .proof.checker.certificate import check_proof as check_proof
 from .proof.checker.verdict import ProofVerdict as ProofVerdict
 from .proof.period_enclosure import EnclosedEvent as EnclosedEvent
@@ -169,6 +173,8 @@ from .work import parallel_map as parallel_map
 __all__ = [
     "Auxiliary",
     "Bound",
+    "BranchProof",
+    "BranchVerdict",
     "Circuit",
     "Clock",
     "Cluster",
@@ -266,6 +272,7 @@ __all__ = [
     "ZenoOrbitsError",
     "__version__",
     "bundled_problems",
+    "check_branch",
     "check_proof",
     "circuit_drive",
     "compare",
@@ -303,6 +310,7 @@ __all__ = [
     "plot_zeno_neighbourhood",
     "plot_zeno_set",
     "prove",
+    "prove_branch",
     "quasi_static_drive",
     "read_orbit",
     "read_record",

@@ -3,7 +3,10 @@ from .checks import check_certificate_of as check_certificate_of
 from .checks import enclose_period as enclose_period
 from .checks import floquet_multipliers as floquet_multipliers
 from .checks import return_map as return_map
+from .checks import check_branch as check_branch
+from .checks import is_branch_file as is_branch_file
 from .checks import prove as prove
+from .checks import prove_branch as prove_branch
 from .checks import verify as verify
 from .checks import write_proof as write_proof
 from .executions import engine_choice as engine_choice

@@ -2,28 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.api.inputs import (
     Named,
     Numbers,
+    Span,
     any_orbit,
     as_orbit,
+    as_span,
     front_door,
     known_problem,
+    plan_of,
     problem_of,
     problem_to_check,
 )
-from zeno_orbits.errors import InputError, finite_number, named_numbers, positive_number
+from zeno_orbits.errors import (
+    InputError,
+    ZenoOrbitsError,
+    finite_number,
+    named_numbers,
+    positive_number,
+)
 from zeno_orbits.orbits import Orbit
-from zeno_orbits.work import Progress, read_json, silent
+from zeno_orbits.work import ExecutionPlan, Progress, read_json, silent
 
 if TYPE_CHECKING:
-    from zeno_orbits.model import GraphDynamics, HybridDynamics
+    from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem
     from zeno_orbits.orbits import ReturnMap, Stability
-    from zeno_orbits.proof import PeriodEnclosure, Proof, ProofVerdict, Replay
+    from zeno_orbits.proof import (
+        BranchEstimate,
+        BranchProof,
+        BranchVerdict,
+        PeriodEnclosure,
+        Proof,
+        ProofVerdict,
+        Replay,
+    )
     from zeno_orbits.simulation import SimulationSettings
     from zeno_orbits.verification import OrbitCertificate, VerificationSettings
 
@@ -102,6 +119,112 @@ def prove(
     }
     settings = ProofSettings(radius=radius, basin=basin)
     return proved(orbit, known, over=over, settings=settings, on_progress=on_progress)
+
+
+@front_door
+def prove_branch(
+    orbit: Orbit | str | Path,
+    branch: Span,
+    *,
+    problem: Named | None = None,
+    workers: int = 1,
+    plan: ExecutionPlan | None = None,
+    on_progress: Progress = silent,
+    on_estimate: Callable[[BranchEstimate], object] | None = None,
+) -> BranchProof:
+    """Prove a curve of orbits over an interval of one gain or parameter.
+
+    Args:
+        orbit: An orbit in the interval, or its file. The certificate in it is ignored.
+        branch: Name of the gain or parameter, and its interval, ``("Kp", 6, 20)``. Parameters
+            derived from it keep their values.
+        problem: The orbit's problem. The default is the bundled problem of its name.
+        workers: Number of processes. Several processes need the name or the file of the problem.
+        plan: Executor of the work and folder of finished parts. It overrides ``workers``.
+        on_progress: Called with the stage and the part of it that is done.
+        on_estimate: Called with the expected number of ranges and time before most of the work.
+
+    Returns:
+        The theorem with its certificate, for the part of the interval that was proved, or the claim
+        that could not be proved.
+
+    Raises:
+        InputError: If a name is unknown, or the interval does not contain the orbit.
+        TranslationError: If the problem's equations are not analytic.
+        WorkError: If the work cannot be finished.
+    """
+    from zeno_orbits.proof import prove_branch as proved
+
+    name, box = as_span("branch", branch)
+    orbit = any_orbit(orbit)
+    known = problem_to_check(orbit, problem)
+    found = proved(
+        orbit,
+        known,
+        name,
+        box,
+        plan=plan_of(workers, plan),
+        on_progress=on_progress,
+        on_estimate=on_estimate,
+    )
+    if found.proved and not found.complete:
+        on_progress("name the end of the branch", None)
+        found = found.with_special_points(_special_points(orbit, known, name, box))
+    return found
+
+
+def _special_points(
+    orbit: Orbit, problem: Problem, name: str, box: tuple[float, float]
+) -> list[tuple[str, float]]:
+    """Return kind and value of the special points and ends of the family of an orbit."""
+    from zeno_orbits import continuation
+
+    try:
+        families = continuation.family_of_orbit(problem, orbit, name, box).families
+    except ZenoOrbitsError:
+        # The proof names its own reason.
+        return []
+    found = [one for family in families for one in (*family.special, family.first, family.last)]
+    return [(one.kind.value, one.at.value) for one in found if one.kind.located]
+
+
+@front_door
+def check_branch(
+    certificate: str | Path | Mapping[str, Any],
+    *,
+    problem: Named | None = None,
+    workers: int = 1,
+    plan: ExecutionPlan | None = None,
+    on_progress: Progress = silent,
+) -> BranchVerdict:
+    """Check the certificate of a branch, range by range.
+
+    Args:
+        certificate: The file of a certificate, or its content. It is plain data without code.
+        problem: The certificate's problem. The default is the bundled problem of its name.
+        workers: Number of processes. Several processes need the name or the file of the problem.
+        plan: Executor of the work. It overrides ``workers``.
+        on_progress: Called with the finished part of the ranges.
+
+    Raises:
+        InputError: If the input is not the certificate of a branch, or its problem is not known.
+    """
+    from zeno_orbits.proof import check_branch as checked
+
+    known = None if problem is None else known_problem(problem)
+    shared = plan_of(workers, plan)
+    return checked(certificate, known, plan=shared, on_progress=on_progress)
+
+
+def is_branch_file(certificate: Path) -> bool:
+    """Return True if a file is the certificate of a branch."""
+    from zeno_orbits.proof import is_branch
+
+    try:
+        return is_branch(read_json(certificate))
+    except ValueError:
+        # The check of a proof names the fault of the file.
+        return False
 
 
 @front_door

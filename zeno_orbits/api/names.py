@@ -73,6 +73,11 @@ NAMES = {
             form="NAME=VALUE:RADIUS",
             meaning="interval of a gain or parameter, which the proof covers as a whole",
         ),
+        Name(
+            name="branch",
+            form="NAME=LOW:HIGH",
+            meaning="interval of a gain or parameter over which a curve of orbits is proved",
+        ),
         Name(name="x", form="NAME=LOW:HIGH[:COUNT]", meaning="axis of a map across"),
         Name(name="y", form="NAME=LOW:HIGH[:COUNT]", meaning="axis of a map upwards"),
         Name(

@@ -8,6 +8,7 @@ that are connected with the orbit of the file make up the proved branch.
 
 from __future__ import annotations
 
+import itertools
 import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -45,10 +46,11 @@ from zeno_orbits.work import (
 KIND = "zeno_orbits branch proof"
 _GROWTHS = (1.5, 1.1)
 """Factors from a range to the next range: before the first failure, and after it."""
-_SHORTER = 0.7
-_FIRST = 2.0**-10
+_SHORTER = (0.25, 0.7)
+"""Factors after a failure: before the first proved range, and after it."""
+_FIRST = 2.0**-4
 """First trial length of a range, relative to the interval."""
-_TRIALS = 8
+_TRIALS = 4
 """Number of ranges from which the length of ranges and the time are estimated."""
 _LEAST_RANGES = 8
 """Smallest expected number of ranges in a part."""
@@ -97,9 +99,8 @@ def prove_branch(
         wanted = f"must contain the orbit's own `{name}`, {own!r}"
         raise InputError(f"Argument `branch` {wanted}, but it is {box[0]!r}:{box[1]!r}.")
     here = prove_orbit(orbit, problem, settings=ProofSettings(bits=settings.bits))
-    known = {"problem": problem.name, "name": name, "asked": box, "versions": proof_versions()}
     if not here.proved:
-        return BranchProof(**known, claim=here.claim, reason=here.reason, certificate={})
+        return _failed(problem, name, box, here.claim, here.reason)
     try:
         with ctx.workprec(settings.bits):
             task = _task(orbit, problem, name, box, settings)
@@ -107,18 +108,39 @@ def prove_branch(
             ranges, ends = work.proved(on_estimate)
             written = _certificate(name, ranges)
             if "machine" in written:
-                parts = {"passes": [one["pass"] for one in written["ranges"]], "over": {}}
+                parts: dict[str, Any] = {
+                    "passes": [one["pass"] for one in written["ranges"]],
+                    "over": {},
+                }
                 require_hypotheses({**written, **parts}, problem)
     except ProofError as error:
-        return BranchProof(**known, claim=error.claim, reason=error.reason, certificate={})
+        return _failed(problem, name, box, error.claim, error.reason)
     return BranchProof(
-        **known,
+        problem=problem.name,
+        name=name,
+        asked=box,
         here=here,
         ranges=tuple(_told(one) for one in ranges),
         ends=ends,
         held=tuple(problem.derived_from([name], orbit.values(problem).parameters)),
         certificate=written,
         wall_time=clock.perf_counter() - started,
+        versions=proof_versions(),
+    )
+
+
+def _failed(
+    problem: Problem, name: str, box: tuple[float, float], claim: str, reason: str
+) -> BranchProof:
+    """Return the result of a proof that fails at the orbit itself."""
+    return BranchProof(
+        problem=problem.name,
+        name=name,
+        asked=box,
+        claim=claim,
+        reason=reason,
+        certificate={},
+        versions=proof_versions(),
     )
 
 
@@ -168,7 +190,7 @@ class _Branch:
             points, reason = self._traced(start, end, longest, portion(tell, k / 2, (k + 1) / 2))
             traces.append(points)
             reasons.append(reason)
-        pairs = [pair for points in traces for pair in zip(points, points[1:], strict=False)]
+        pairs = [pair for points in traces for pair in itertools.pairwise(points)]
         if not pairs:
             raise ProofError("exists", f"the branch is not traced: {reasons[0] or reasons[1]}")
         parts = [{"from": asdict(a), "to": b.value, "length": length} for a, b in pairs]
@@ -307,7 +329,7 @@ def _ranges(
         try:
             one = task.proved(min(edge, to), max(edge, to), known)
         except ProofError as error:
-            length, growth = _SHORTER * length, _GROWTHS[1]
+            length, growth = _SHORTER[known is not start] * length, _GROWTHS[1]
             if length < task.smallest:
                 yield _because(error)
                 return
@@ -333,14 +355,7 @@ def _chained(
     upward = end >= start.value
     reached = [one.high if upward else one.low for one in ranges]
     last = Fraction(start.value) if not reached else (max if upward else min)(reached)
-    near = min((abs(mu - 1) for mu in ranges[-1].multipliers), default=math.inf) if ranges else 1.0
-    return ranges, BranchEnd(
-        value=last, reason=reason, multiplier_near_one=bool(reason) and near < _NEAR_ONE
-    )
-
-
-_NEAR_ONE = 0.1
-"""Distance of a multiplier from 1 at which a fold or a branch point is named as the end."""
+    return ranges, BranchEnd(value=last, reason=reason)
 
 
 def _connected(

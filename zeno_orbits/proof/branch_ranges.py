@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from flint import arb
 
-from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.proof.arithmetic.balls import Ball, exact_fraction, product
@@ -64,7 +63,7 @@ class BranchSettings:
     walk: WalkSettings = field(default_factory=lambda: WalkSettings(slowest=1e-7))
     bits: int = 96
     parts: int = 32
-    least: float = 2.0**-20
+    least: float = 2.0**-16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +101,6 @@ class Range:
         ends: Enclosures of the states of the fixed point at both ends: pairs of lower and upper
             bounds.
         box: Intervals of the coordinates and other states of the box, by index of the state.
-        multipliers: Approximate multipliers at the middle.
     """
 
     low: Fraction
@@ -113,7 +111,6 @@ class Range:
     stability: int
     ends: tuple[list[tuple[Fraction, Fraction]], list[tuple[Fraction, Fraction]]]
     box: dict[int, tuple[Fraction, Fraction]]
-    multipliers: tuple[complex, ...]
 
     def meets(self, other: Range) -> str:
         """Return why this range and the next one are not shown to hold the same orbit.
@@ -128,11 +125,20 @@ class Range:
             return "the ranges leave a gap"
         if _shared(self) != _shared(other):
             return "the orbits of the ranges have different events"
-        for k, (low, high) in other.box.items():
-            inner = self.ends[1][k]
-            if not low < inner[0] <= inner[1] < high:
-                return f"state {k} of the orbit leaves the box of the next range"
+        out = _leaves(self.ends[1], other.box)
+        if out and _leaves(other.ends[0], self.box):
+            return f"{out} leaves the box of the next range"
         return ""
+
+
+def _leaves(
+    state: Sequence[tuple[Fraction, Fraction]], box: Mapping[int, tuple[Fraction, Fraction]]
+) -> str:
+    """Return the first state that leaves the interior of a box, in words, or an empty text."""
+    for k, (low, high) in box.items():
+        if not low < state[k][0] <= state[k][1] < high:
+            return f"state {k} of the orbit"
+    return ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -208,7 +214,6 @@ class BranchTask:
                 _fixed_point(problem, system, judged, 1),
             ),
             box=_box(system, start),
-            multipliers=tuple(judged.discs.centres),
         )
 
     def _judged(
@@ -288,7 +293,6 @@ def plain_range(one: Range) -> dict[str, Any]:
         "stability": one.stability,
         "ends": ends,
         "box": box,
-        "multipliers": [[mu.real, mu.imag] for mu in one.multipliers],
     }
 
 
@@ -309,7 +313,6 @@ def read_range(data: Mapping[str, Any]) -> Range:
         stability=data["stability"],
         ends=(low, high),
         box={int(k): pair(texts) for k, texts in data["box"].items()},
-        multipliers=tuple(complex(*mu) for mu in data["multipliers"]),
     )
 
 
@@ -395,7 +398,7 @@ def _middle(
         [[float(slopes[k, j].mid()) for j in range(d + 1)] for k in judged.start.places]
     )
     floats = floats.reshape(d, d + 1)
-    by_u: Vector = np.linalg.solve(np.eye(d) - floats[:, :d], floats[:, d]) if d else np.zeros(0)
+    by_u: Any = np.linalg.solve(np.eye(d) - floats[:, :d], floats[:, d]) if d else np.zeros(0)
     start_slopes = np.array(
         [[float(start.derivative[i, j].mid()) for j in range(d + 1)] for i in range(system.n)]
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import groupby
 from typing import Any
@@ -40,17 +40,20 @@ class BranchEnd:
     Attributes:
         value: Value of the parameter, exactly.
         reason: Reason why the proof does not continue, empty at the end of the interval.
-        multiplier_near_one: True if a multiplier near 1 suggests a fold or a branch point.
+        near: Kind and value of the nearest special point of a continuation, which is not proved.
     """
 
     value: Fraction
     reason: str = ""
-    multiplier_near_one: bool = False
+    near: tuple[str, float] | None = None
 
     def sentence(self, name: str) -> str:
         """Return the end as a sentence."""
-        near = " A multiplier near 1 suggests a fold or a branch point." * self.multiplier_near_one
-        return f"The proof ends at {name} = {end_text(self.value)}: {self.reason}.{near}"
+        told = f"The proof ends at {name} = {end_text(self.value)}: {self.reason}."
+        if self.near is None:
+            return told
+        kind, value = self.near
+        return f"{told} Near it, by continuation and without proof: {kind} at {value:.10g}."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,6 +146,20 @@ class BranchProof:
         """Number of inclusions in the certificate."""
         return sum(one.n_records for one in self.ranges)
 
+    def with_special_points(self, points: Sequence[tuple[str, float]]) -> BranchProof:
+        """Return the proof with the nearest special point beside each early end.
+
+        Args:
+            points: Kind and value of the special points of a continuation.
+        """
+
+        def named(end: BranchEnd) -> BranchEnd:
+            near = min(points, key=lambda one: abs(one[1] - float(end.value)), default=None)
+            return replace(end, near=near) if end.reason else end
+
+        low, high = self.ends
+        return replace(self, ends=(named(low), named(high)))
+
     def verdict(self) -> str:
         """Return the verdict as one sentence."""
         if not self.proved:
@@ -156,6 +173,10 @@ class BranchProof:
             return []
         motion = self.here.statements()[0].removeprefix("(1) From every point of box 1 ")
         parts = stable_parts(self.ranges, self.low, self.high)
+        signs = [0, *(sign for sign, _, _ in parts), 0]
+        changes = [
+            a * b < 0 and not sign for a, sign, b in zip(signs, signs[1:], signs[2:], strict=False)
+        ]
         return [
             f"(1) For each value of {self.name} in a range, from every point of its box {motion}",
             "(2) P is analytic on each box, together with its range.",
@@ -165,7 +186,8 @@ class BranchProof:
             f" {self._interval}.",
             *(
                 f"(5) The fixed point is {_STABILITY[sign]} for {self.name} from {a} to {b}."
-                for sign, a, b in parts
+                + " Its stability changes there." * change
+                for (sign, a, b), change in zip(parts, changes, strict=True)
             ),
         ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,14 +12,17 @@ from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
+    add_place,
     add_problem_file,
     add_shared,
+    place_of,
     print_json,
     read_orbit_path,
+    run_resumable,
     say_written,
 )
 from zeno_orbits.cli.outputs import JSON, require_outputs
-from zeno_orbits.cli.parsing import read_interval, read_share
+from zeno_orbits.cli.parsing import read_interval, read_range, read_share
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
@@ -39,6 +43,7 @@ def add_prove(commands: Any) -> None:
             "zeno-orbits prove orbit.json --basin",
             "zeno-orbits prove orbit.json --radius 1e-7",
             "zeno-orbits prove orbit.json --interval Kp=2.5:1e-8",
+            "zeno-orbits prove orbit.json --branch Kp=6:20 -o branch.json",
         ],
     )
     parser.add_argument(
@@ -67,6 +72,8 @@ def add_prove(commands: Any) -> None:
         "enclosures allow",
     )
     add_shared(parser, "interval", type=read_interval, action="append", default=[])
+    add_shared(parser, "branch", type=read_range)
+    add_place(parser)
 
 
 def _run_prove(options: argparse.Namespace) -> int:
@@ -77,6 +84,9 @@ def _run_prove(options: argparse.Namespace) -> int:
         raise InputError("Option `--radius` sets the box, but `--basin` chooses it. Remove one.")
     if options.check is not None:
         return _check(options)
+    if options.branch is not None:
+        return _branch(options)
+    _require_no_workers(options)
     require_outputs(options, {"output": JSON}, reads=(options.orbit,))
     orbit = api.any_orbit(options.orbit)
     problem = api.problem_to_check(orbit, options.problem)
@@ -107,6 +117,55 @@ def _run_prove(options: argparse.Namespace) -> int:
     return YES if proof.proved else NO
 
 
+def _require_no_workers(options: argparse.Namespace) -> None:
+    """Refuse options of parallel work for the proof of a single orbit."""
+    for name in ("workers", "scheduler", "checkpoint"):
+        if getattr(options, name) is not None:
+            raise InputError(f"Option `--{name}` needs --branch: one orbit is proved at once.")
+
+
+def _branch(options: argparse.Namespace) -> int:
+    """Prove a branch, part by part, and print its theorem."""
+    from zeno_orbits.work import ExecutionPlan, Workers
+
+    for name, given in (
+        ("interval", options.interval),
+        ("radius", options.radius is not None),
+        ("basin", options.basin),
+    ):
+        if given:
+            raise InputError(f"Option `--{name}` is for a single orbit, without --branch.")
+    require_outputs(options, {"output": JSON}, reads=(options.orbit,))
+    orbit = api.any_orbit(options.orbit)
+    problem = api.problem_to_check(orbit, options.problem)
+    place, (name, box) = place_of(options), options.branch
+    count = place.count if isinstance(place, Workers) else None
+
+    def work(checkpoint: Path | None, progress: report.ProgressLine) -> zo.BranchProof:
+        return api.prove_branch(
+            orbit,
+            (name, *box),
+            problem=problem,
+            plan=ExecutionPlan(place=place, checkpoint=checkpoint),
+            on_progress=progress,
+            on_estimate=lambda one: report.print_note(one.sentence(count or os.cpu_count() or 1)),
+        )
+
+    def finish(proof: zo.BranchProof) -> int:
+        written = options.output if proof.proved else None
+        if written is not None:
+            api.write_proof(proof.certificate, written)
+        if options.json:
+            print_json(proof.as_json())
+        else:
+            report.print_lines(proof.lines())
+            if written is not None:
+                say_written(options, [written])
+        return YES if proof.complete else NO
+
+    return run_resumable(options, work, finish)
+
+
 def _over(
     options: argparse.Namespace, problem: zo.Problem, known: dict[str, float]
 ) -> dict[str, float]:
@@ -125,6 +184,9 @@ def _check(options: argparse.Namespace) -> int:
     """Check a certificate on both levels, and print the proved statements."""
     from dataclasses import asdict
 
+    if api.is_branch_file(options.check):
+        return _check_branch(options)
+    _require_no_workers(options)
     verdict, replay = api.check_certificate(options.check, problem=options.problem)
     holds = verdict.ok and (replay is None or replay.ok)
     if options.json:
@@ -140,6 +202,28 @@ def _check(options: argparse.Namespace) -> int:
     what = "every claim holds" if holds else "a claim does not hold"
     report.print_lines([f"Certificate of `{verdict.problem}`: {what}."])
     return YES if holds else NO
+
+
+def _check_branch(options: argparse.Namespace) -> int:
+    """Check the certificate of a branch, and print the proved statements."""
+    from zeno_orbits.work import ExecutionPlan
+
+    if options.checkpoint is not None:
+        raise InputError("Option `--checkpoint` is for a proof: a check keeps no finished work.")
+    with report.ProgressLine(options.interrupts.check) as progress:
+        verdict = api.check_branch(
+            options.check,
+            problem=options.problem,
+            plan=ExecutionPlan(place=place_of(options)),
+            on_progress=progress,
+        )
+    if options.json:
+        print_json({"proved": verdict.ok, **verdict.as_json()})
+    else:
+        what = "every claim holds" if verdict.ok else "a claim does not hold"
+        told = f"Certificate of a branch of `{verdict.problem}`: {what}."
+        report.print_lines([*verdict.lines(), told])
+    return YES if verdict.ok else NO
 
 
 def add_proof(parser: argparse.ArgumentParser) -> None:

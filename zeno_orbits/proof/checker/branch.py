@@ -7,6 +7,7 @@ other, which holds exactly one fixed point. So both hold the same fixed point.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -131,7 +132,7 @@ def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
         raise InputError("The certificate's `branch` must be a gain or parameter.")
     if not isinstance(ranges, list) or not 0 < len(cast("list[Any]", ranges)) <= _MOST_RANGES:
         raise InputError(f"The certificate must have 1 to {_MOST_RANGES} `ranges`.")
-    for one in ranges:
+    for one in cast("list[Any]", ranges):
         _require_range(one)
     return data
 
@@ -157,7 +158,7 @@ def _ends(one: Mapping[str, Any], bits: int) -> tuple[int, int]:
 
 def _order(ends: Sequence[tuple[int, int]]) -> str:
     """Return how the ranges are not in order or leave a gap, or an empty text."""
-    for k, (a, b) in enumerate(zip(ends, ends[1:], strict=False)):
+    for k, (a, b) in enumerate(itertools.pairwise(ends)):
         if not (a[0] < b[0] and a[1] < b[1]):
             return f"ranges {k + 1} and {k + 2} are not in order"
         if b[0] > a[1]:
@@ -192,7 +193,7 @@ def _unconnected(
     section: ContactSection, boxes: Sequence[Box], found: Sequence[Any], system: System
 ) -> str:
     """Return where two neighbouring ranges are not shown to hold the same orbit, or no text."""
-    for k, (a, b) in enumerate(zip(found, found[1:], strict=False)):
+    for k, (a, b) in enumerate(itertools.pairwise(found)):
         between = f"ranges {k + 1} and {k + 2}"
         if not a["state"] or not b["state"]:
             return f"{between}: a motion is not proved"
@@ -272,7 +273,7 @@ class _RangeTask:
                     passage.releases,
                     passage.events[1],
                     passage.events[2],
-                    [word for word in passage.told],
+                    list(passage.told),
                 ],
             }
 

@@ -44,7 +44,7 @@ class CheckedRange(NamedTuple):
         known = {name for name, ok, _ in claims if ok}
         inside = bool(found.get("inside", False))
         stability = 1 if "stable" in known or inside else -1 if "repelling" in known else 0
-        events = found["events"] or [0, 0, 0, 0, False, []]
+        events: Sequence[Any] = found["events"] or [0, 0, 0, 0, False, []]
         kind = int(events[2]), int(events[3]), bool(events[4])
         return cls(low, high, failure, stability, inside, kind, tuple(events[5]))
 

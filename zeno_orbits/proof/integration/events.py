@@ -426,6 +426,8 @@ def settle_impacts(system: BallSystem, stage: ProofStage) -> tuple[ProofRecord, 
     """
     n, gap, rate = system.n, system.gap, system.rate
     at, box = stage.at, stage.at.box
+    reason = f"the gap rate after an impact is not proved positive ({box[rate]})"
+    require_proved(is_clear(box[rate]), "zeno_point", reason)
     found = polydisc(system, box)
     c, speed, speed_now = found.c, found.speed, box[rate].abs_upper()
     left, off = 1 - found.rho, speed - speed_now
