@@ -8,11 +8,9 @@ from fractions import Fraction
 from itertools import groupby
 from typing import Any
 
+from zeno_orbits.proof.checker.branch_verdict import end_text
 from zeno_orbits.proof.theorem import Proof
-from zeno_orbits.work import exact_decimal
 
-_LONGEST = 24
-"""Largest number of characters of an exact decimal."""
 _STABILITY = {1: "exponentially stable", -1: "unstable", 0: "of undecided stability"}
 
 
@@ -248,20 +246,6 @@ class BranchProof:
     @property
     def _interval(self) -> str:
         return f"for {self.name} from {end_text(self.low)} to {end_text(self.high)}"
-
-
-def end_text(x: Fraction) -> str:
-    """Return a binary fraction exactly: in decimals if they are short, otherwise in hexadecimal."""
-    nearest = float(x)
-    if Fraction(nearest) == x and len(repr(nearest)) <= _LONGEST and Fraction(repr(nearest)) == x:
-        return repr(nearest)
-    text = exact_decimal(x)
-    if len(text) <= _LONGEST:
-        return text
-    if Fraction(nearest) == x:
-        return f"(the double {nearest!r})"
-    power = x.denominator.bit_length() - 1
-    return f"{'-' if x < 0 else ''}{abs(x.numerator):#x}p-{power}"
 
 
 def stable_parts(

@@ -75,8 +75,11 @@ def check_branch(
         ]
         gap = _order(ends)
         task = _RangeTask(problem=problem, file=None, common=common, name=name)
-        if plan is None or problem.file is None:
-            found = list[Any]()
+        found = list[Any]()
+        if gap:
+            unchecked: list[Any] = ["motion", False, "not checked"]
+            found = [{"claims": [unchecked], "state": [], "events": []} for _ in points]
+        elif plan is None or problem.file is None:
             for k, point in enumerate(points):
                 on_progress(f"{k} of {len(points)} ranges", k / len(points))
                 found += task([point])
@@ -102,6 +105,7 @@ def check_branch(
             ranges=tuple(results),
             gap=gap or _unconnected(section, boxes, found, system),
             bits=bits,
+            unchecked=bool(gap),
         )
 
 

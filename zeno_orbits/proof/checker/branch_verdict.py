@@ -77,12 +77,14 @@ class BranchVerdict:
         ranges: The ranges in order.
         gap: Where two neighbouring ranges are not connected, or an empty text.
         bits: Unit of the ends of the ranges.
+        unchecked: True if the ranges leave a gap, so that none of them was checked.
     """
 
     theorem: BranchTheorem
     ranges: tuple[CheckedRange, ...]
     gap: str
     bits: int
+    unchecked: bool = False
 
     @property
     def ok(self) -> bool:
@@ -103,7 +105,7 @@ class BranchVerdict:
     def verdict(self) -> str:
         """Return the verdict as one sentence."""
         for k, one in enumerate(self.ranges):
-            if one.failure:
+            if one.failure and not self.unchecked:
                 return f"Not proved: range {k + 1}: {one.failure}."
         if self.gap:
             return f"Not proved: {self.gap}."
@@ -183,10 +185,15 @@ class BranchVerdict:
         return "Zeno periodic orbit" if points else "periodic orbit without a Zeno point"
 
     def _end(self, m: int) -> str:
-        """Return an end exactly: in decimals if they are short, otherwise in hexadecimal."""
-        x = Fraction(m, 1 << self.bits)
-        text = exact_decimal(x)
-        if len(text) <= _LONGEST:
-            return text
-        power = x.denominator.bit_length() - 1
-        return f"{'-' if x < 0 else ''}{abs(x.numerator):#x}p-{power}"
+        return end_text(Fraction(m, 1 << self.bits))
+
+
+def end_text(x: Fraction) -> str:
+    """Return an end of a range exactly: a short decimal, a double by its name, or hexadecimal."""
+    text, nearest = exact_decimal(x), float(x)
+    if len(text) <= _LONGEST:
+        return text
+    if Fraction(nearest) == x:
+        return f"(the double {nearest!r})"
+    power = x.denominator.bit_length() - 1
+    return f"{'-' if x < 0 else ''}{abs(x.numerator):#x}p-{power}"

@@ -136,6 +136,8 @@ class BallSet:
         # A polynomial motion has no remainder, but the checker rounds it.
         smallest = arb(0, arb(2) ** (_LEAST - ctx.prec))
         least = [smallest if k in rows and not fine else ZERO for k in range(len(r))]
+        # A derivative that vanishes exactly is rounded in the checker.
+        tiny = [smallest if k in rows else ZERO for k in range(len(r))]
         return BallSet(
             m=m,
             frame=frame,
@@ -143,7 +145,7 @@ class BallSet:
             C=C,
             R=matrix(
                 [
-                    [_with_slack(one, spare[1] * (k in rows), least[k]) for one in row]
+                    [_with_slack(one, spare[1] * (k in rows), tiny[k]) for one in row]
                     for k, row in enumerate(R.table())
                 ],
                 R.ncols(),
