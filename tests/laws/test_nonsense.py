@@ -226,6 +226,8 @@ OWN: dict[str, dict[str, Callable[[], Any]]] = {
     "write_recording": {"path": lambda: Path("file.csv")},
     "orbit_from_json": {"path": lambda: Path("file.json")},
     "check_proof": {"certificate": lambda: Path("no.json")},
+    "check_branch": {"certificate": lambda: Path("no.json")},
+    "prove_branch": {"branch": lambda: ("g", 9.0, 10.0)},
     "simulate": {"problem": ball},
     "find_orbit": {"problem": lambda: "motor_pendulum"},
     "find_orbit_by_shooting": {"problem": lambda: "motor_pendulum"},
@@ -281,6 +283,7 @@ RESULTS = (
     *("CompletedSystem", "Comparison", "Continuation", "EnclosedEvent", "EventComparison"),
     *("Orbit", "EventSearchResult", "Execution", "ExecutionWithError", "Family"),
     *("Identification", "OrbitCertificate", "ParameterMap", "PeriodEnclosure", "Proof"),
+    *("BranchProof", "BranchVerdict"),
     *("ProofVerdict", "Pushes", "Recording", "Recovery", "RigRun", "SearchResult", "SwitchEvent"),
     *(
         "Feedback",

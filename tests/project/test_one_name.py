@@ -38,7 +38,7 @@ SAME = {
     "search": ["search_gains", "search_event_gains", "find_orbit", "find_event_orbit"],
     "verify": ["verify"],
     "stability": ["floquet_multipliers"],
-    "prove": ["prove"],
+    "prove": ["prove", "prove_branch"],
     "map": ["parameter_map"],
     "continue": ["continue_orbit"],
     "push": ["largest_push"],
@@ -56,7 +56,7 @@ SAME = {
 """A command to the functions that do its work."""
 
 PYTHON_ONLY = {
-    *("on_progress", "settings", "plan", "dynamics"),
+    *("on_progress", "on_estimate", "settings", "plan", "dynamics"),
     # One option, `--set`, has both.
     *("gains", "parameters"),
     # Positional arguments of the command.

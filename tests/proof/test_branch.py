@@ -161,7 +161,7 @@ def test_a_range_that_does_not_hold_fails_the_branch(
 
 
 @pytest.fixture(scope="module")
-def wells(orbit: zo.Orbit) -> dict[str, zo.BranchProof]:
+def wells() -> dict[str, zo.BranchProof]:
     """Return the branches of two orbits at the same parameters: one repels, one attracts."""
     problem = hard_to_prove.double_well()
     found = zo.find_orbit_by_shooting(problem).unwrap()

@@ -58,6 +58,7 @@ GROUPS = {
             "--parameter2",
             "--section",
             "--interval",
+            "--branch",
         ),
         *("--kind", "--recording", "--directions", "--phases", "--reach", "--spread"),
         *("--inputs", "--method", "--weight", "--multipliers", "--delay", "--extent"),
