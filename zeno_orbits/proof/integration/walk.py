@@ -245,7 +245,7 @@ class _Way:
         period = self._system.period
         self._pace = _Pace(size=settings.first * period, most=settings.longest * period)
         self._fastest = ZERO
-        self._slow: tuple[ProofStage, int] | None = None
+        self._slow: tuple[ProofStage, int, int] | None = None
 
     @property
     def _system(self) -> BallSystem:
@@ -314,11 +314,11 @@ class _Way:
             record = replace(record, fields={"sides": [int(side) for side in sides]})
         self.stage = replace(stage, sides=sides)
         self.records.append(record)
-        self._slow = None
         if self.stage.departure is Departure.STRUCK and not self._system.struck:
             speed = self.stage.at.box[rate]
-            if bool(speed < settings.slow * self._fastest):
-                self._slow = self.stage, len(self.records)
+            # A tail needs a positive speed, which the last impacts of a wide set do not show.
+            if bool(speed < settings.slow * self._fastest) and is_clear(speed):
+                self._slow = self.stage, len(self.records), len(self.events)
             if bool(speed < settings.slowest * self._fastest) and self._sum_up_early():
                 return
         if self.stage.departure is Departure.LOCKED:
@@ -342,9 +342,9 @@ class _Way:
         """Replace all impacts after a slow last impact by a Zeno tail. Return True on success."""
         if self._slow is None:
             return False
-        (stage, n_records), self._slow = self._slow, None
-        record, self.stage = settle_impacts(self._system, stage)
-        self.records[n_records:] = [record]
+        (stage, n_records, n_events), self._slow = self._slow, None
+        record, self.stage = settle_impacts(self._machine.view(stage.stop, stage.sides), stage)
+        self.records[n_records:], self.events[n_events:] = [record], []
         self._hold()
         return True
 
