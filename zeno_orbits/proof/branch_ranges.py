@@ -60,7 +60,7 @@ class BranchSettings:
         least: Smallest range and smallest step of the trace, relative to the interval.
     """
 
-    walk: WalkSettings = field(default_factory=lambda: WalkSettings(slowest=1e-7))
+    walk: WalkSettings = field(default_factory=lambda: WalkSettings(slowest=1e-12))
     bits: int = 96
     parts: int = 32
     least: float = 2.0**-16
