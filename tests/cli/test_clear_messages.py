@@ -127,7 +127,8 @@ REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
     ),
     "section of one stop": (
         (*SEARCH, "--section", "release"),
-        "`--section` needs a machine with several stops or switches: leave it out.",
+        "must be an event of the motion (impact stop, release stop, zeno stop), "
+        "but it is `release`.",
     ),
     "milliseconds": (
         (*SEARCH, "--vary", "Kp=1:5", "--objective", "period=1800"),

@@ -22,6 +22,7 @@ from tests.support.mechanisms import machine_of
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Automatic, Segment, SegmentResult, Tolerance
 from zeno_orbits.model import GraphDynamics, HybridDynamics, StateLimit, load_problem
+from zeno_orbits.model.modes import GraphMode
 from zeno_orbits.simulation import TailEstimate, ZenoExtrapolation, ZenoLimit
 from zeno_orbits.verification import CHECKS, OrbitCertificate, VerificationSettings
 
@@ -186,8 +187,9 @@ def test_a_kink_on_its_other_side_fails_alone(side: int) -> None:
     wrong: Any = copy.copy(_graph("relay"))
     right = wrong.guards_along
 
-    def guards(states: Vector, sides: tuple[bool, ...]) -> Any:
-        values, rounding, armed = right(states, sides)
+    def guards(states: Vector, mode: GraphMode) -> Any:
+        values, rounding, armed = right(states, mode)
+        _, sides = mode
         return (-values if sides[0] == bool(side) else values), rounding, armed
 
     wrong.guards_along = guards
@@ -201,8 +203,8 @@ def test_an_armed_switch_that_is_passed_without_its_event_fails_alone() -> None:
     run = zo.simulate("kneed_walker", start=orbit.start_state, until=orbit.events[0].time)
     early, middle, late = (float(run.state_at(part * run.end_time)[0]) for part in (0.2, 0.5, 0.8))
 
-    def guards(states: Vector, sides: tuple[bool, ...]) -> Any:
-        _, rounding, armed = right(states, sides)
+    def guards(states: Vector, mode: GraphMode) -> Any:
+        _, rounding, armed = right(states, mode)
         # Another guard, which falls through zero in the middle of the first flight.
         falling = (middle - states[:, :1]) * np.sign(late - early)
         return falling, rounding, np.ones_like(armed)

@@ -218,7 +218,7 @@ def _only_contact(search: SearchProblem, attempts: Sequence[StartAttempt]) -> bo
     """Return True if no start led to an orbit and every point of the scan stays in contact."""
     if not search.free or any(one.status is not SearchStatus.NO_GUESS for one in attempts):
         return False
-    from zeno_orbits.search.scan import stays_in_contact
+    from zeno_orbits.search.starts.scan import stays_in_contact
 
     return stays_in_contact(search)
 
