@@ -23,6 +23,7 @@ from zeno_orbits.search import (
     search_event_orbits,
     settled_return,
 )
+from zeno_orbits.search.objectives import Target
 from zeno_orbits.simulation import SimulationSettings
 
 FIXED = ProgramTask(free={}, objective=NearestGains(target={}), sizes={}, origin={}, units={})
@@ -131,6 +132,30 @@ def test_a_bounded_optimum_has_its_closed_form() -> None:
     assert found.free["a"] == pytest.approx(4.0 * (1 - e**2) / (2 * s), rel=1e-7)
     assert found.value == pytest.approx(4.0 * (1 - e**2) / 2, rel=1e-7)
     assert found.asked[0]["kept"]
+
+
+class TargetLoss(Target):
+    """A prescribed loss of energy in impacts: an objective of a user."""
+
+    @property
+    def wish(self) -> str:
+        return f"a loss of {self.target:g} J"
+
+    def prescribed(self, point: Any) -> Any:
+        return point.slopes("stop.energy_lost")[0]
+
+    def aim(self, terms: Any, *, is_wish: bool) -> None:
+        terms.reach("stop.energy_lost", self.target, is_wish=is_wish)
+
+
+@pytest.mark.parametrize("method", [PROGRAM, SHOOTING])
+def test_one_class_is_an_objective_of_both_methods(method: zo.SearchMethod) -> None:
+    # The loss is a s, with s = 0.1.
+    found = zo.search_event_gains(
+        "hopper", vary={"a": (5.0, 40.0)}, objective=TargetLoss(target=2.4), method=method
+    )
+    assert found.method is method
+    assert found.free["a"] == pytest.approx(24.0, rel=1e-8)
 
 
 def test_the_worst_corner_has_its_closed_form() -> None:

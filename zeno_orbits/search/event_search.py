@@ -87,8 +87,7 @@ def search_event_orbits(
         problem.require_range(name, box, argument="vary")
     check_objective(problem, wish, free)
     check_bounds(problem.graph_dynamics(values), bounds)
-    if isinstance(wish, NearestGains):
-        values = values.replaced(wish.target)
+    values = values.replaced(wish.goal)
     if near is not None:
         require_no_other_start(start, section)
         if shape is not None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,7 @@ from zeno_orbits.work import Checked, require_kinds
 if TYPE_CHECKING:
     # The help and the error messages of the command line need the words, not CasADi.
     from zeno_orbits.model import Problem
+    from zeno_orbits.search.measures import MeasuredOrbit, ProgramTerms, Slope, Trial
     from zeno_orbits.search.nearness import Nearness
     from zeno_orbits.simulation import Extent
 
@@ -35,7 +36,11 @@ PUSH = "push"
 
 
 class Objective(ABC):
-    """An objective of a search."""
+    """An objective of a search.
+
+    A subclass states what differs from the nearest values: its numbers at an orbit (`costs`,
+    `miss`) and its terms in a program (`aim`).
+    """
 
     __slots__ = ()
 
@@ -53,6 +58,51 @@ class Objective(ABC):
     def is_sampled(self) -> bool:
         """True if the quantity is computed from many simulations and is not part of a program."""
         return False
+
+    @property
+    def is_measured(self) -> bool:
+        """True if the objective is a quantity of the orbit, and not a distance of values."""
+        return bool(self.quantities or self.is_sampled)
+
+    @property
+    def is_maximized(self) -> bool:
+        """True if a larger value is better."""
+        return False
+
+    @property
+    def is_in_program(self) -> bool:
+        """True if a program has the objective."""
+        return True
+
+    @property
+    def needs_source(self) -> bool:
+        """True if the objective needs the work of a source."""
+        return False
+
+    @property
+    def has_edges(self) -> bool:
+        """True if the objective is the largest of several numbers, so that it has edges."""
+        return False
+
+    @property
+    def prescribes(self) -> bool:
+        """True if the objective prescribes the value of a quantity."""
+        return False
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the signals whose extremes the objective contains."""
+        return ()
+
+    @property
+    def parameter_ranges(self) -> Mapping[str, tuple[float, float]]:
+        """Name to range of uncertain parameters."""
+        return {}
+
+    @property
+    def trial_corners(self) -> list[dict[str, float]]:
+        """The corners of the ranges at which every trial has an orbit, name to value."""
+        return corners_of(self.parameter_ranges)
 
     @property
     def least(self) -> float:
@@ -85,6 +135,64 @@ class Objective(ABC):
             return self.rank(extents[self.quantities[0]])
         return float(nearness.distance(numbers, self.goal))
 
+    def costs(self, trial: Trial) -> tuple[Slope, ...]:
+        """Return the numbers whose largest is minimized.
+
+        Args:
+            trial: The orbit.
+
+        Raises:
+            NoEventError: If an event of the objective does not occur.
+        """
+        return (trial.nearness(self.goal),)
+
+    def misses(self, point: MeasuredOrbit) -> tuple[Slope, ...]:
+        """Return the relative deviations of prescribed quantities, zero at the optimum.
+
+        Args:
+            point: The orbit.
+        """
+        del point
+        return ()
+
+    def reached(self, point: MeasuredOrbit) -> str:
+        """Return the prescribed quantity of an orbit in words, empty without one.
+
+        Args:
+            point: The orbit.
+        """
+        del point
+        return ""
+
+    def struck(self, point: MeasuredOrbit) -> dict[str, float]:
+        """Return the fastest first impact of every stop of the objective, by its name.
+
+        Args:
+            point: The orbit.
+        """
+        del point
+        return {}
+
+    def require_near(self, periods: Sequence[float]) -> None:
+        """Refuse an objective that is far from the periods of all orbits that were seen.
+
+        Args:
+            periods: Periods of the orbits [s]. Without an orbit nothing is refused.
+
+        Raises:
+            InputError: If the objective is far from every period.
+        """
+        del periods
+
+    def aim(self, terms: ProgramTerms, *, is_wish: bool) -> None:
+        """Add the objective to a program, other than the distance of free values.
+
+        Args:
+            terms: The terms of the program.
+            is_wish: Whether a target counts by its distance only, beside the free values.
+        """
+        del terms, is_wish
+
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Raise `InputError` if the objective is not valid for a problem."""
         del problem, free
@@ -109,6 +217,16 @@ class WorstCase(Objective, Checked):
         Checked.__post_init__(self)
         for name, ends in named_numbers("uncertain", self.uncertain).items():
             number_range("uncertain", ends, name)
+
+    @property
+    def has_edges(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def parameter_ranges(self) -> Mapping[str, tuple[float, float]]:
+        """The uncertain ranges."""
+        return self.uncertain
 
     @property
     def corners(self) -> list[dict[str, float]]:
@@ -179,6 +297,23 @@ class Target(Objective):
         """Refuse a target of a wrong kind. `check` refuses values without a meaning."""
         require_kinds(self)
 
+    @property
+    def prescribes(self) -> bool:
+        """True."""
+        return True
+
+    @abstractmethod
+    def prescribed(self, point: MeasuredOrbit) -> Slope:
+        """Return the quantity of an orbit."""
+
+    def misses(self, point: MeasuredOrbit) -> tuple[Slope, ...]:
+        """Return the relative deviation from the target."""
+        return (self.prescribed(point).scaled(1 / self.target, self.target),)
+
+    def reached(self, point: MeasuredOrbit) -> str:
+        """Return the quantity of an orbit in words."""
+        return replace(self, target=self.prescribed(point).value).wish
+
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject a target that is not positive."""
         del problem, free
@@ -195,6 +330,14 @@ class TargetPeriod(Target):
     def wish(self) -> str:
         """The objective in words."""
         return f"a period of {self.target:.10g} s"
+
+    def prescribed(self, point: MeasuredOrbit) -> Slope:
+        """Return the period of an orbit [s]."""
+        return point.slopes("period")[0]
+
+    def aim(self, terms: ProgramTerms, *, is_wish: bool) -> None:
+        """Prescribe the period, or wish for it."""
+        terms.reach("period", self.target, is_wish=is_wish)
 
     def is_far_from(self, period: float) -> bool:
         """Return True if a period or time scale [s] differs by more than a factor of 100."""
@@ -237,6 +380,19 @@ class TargetAmplitude(Target):
         """The objective in words."""
         return f"an amplitude of {self.target:.10g} of {self.state}"
 
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The state."""
+        return (self.state,)
+
+    def prescribed(self, point: MeasuredOrbit) -> Slope:
+        """Return half the range of the state, in its unit."""
+        return point.amplitude(self.state)
+
+    def aim(self, terms: ProgramTerms, *, is_wish: bool) -> None:
+        """Prescribe the amplitude, or wish for it."""
+        terms.reach_amplitude(self.state, self.target, is_wish=is_wish)
+
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject an unknown state and a target that is not positive."""
         if self.state not in problem.state_names:
@@ -259,6 +415,20 @@ class MinEnergy(WorstCase):
         """The electrical work."""
         return ("energy",)
 
+    @property
+    def needs_source(self) -> bool:
+        """True."""
+        return True
+
+    def costs(self, trial: Trial) -> tuple[Slope, ...]:
+        """Return the work of a period [J]."""
+        return tuple(trial.point.slopes("energy"))
+
+    def aim(self, terms: ProgramTerms, *, is_wish: bool) -> None:
+        """Minimize the work of a period."""
+        del is_wish
+        terms.least_work()
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MinPeak(WorstCase):
@@ -279,6 +449,20 @@ class MinPeak(WorstCase):
     def quantities(self) -> tuple[str, ...]:
         """The signal."""
         return (self.signal,)
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The signal."""
+        return (self.signal,)
+
+    def costs(self, trial: Trial) -> tuple[Slope, ...]:
+        """Return the largest absolute extremes of the signal, in its unit."""
+        return trial.point.peak_costs(self.signal)
+
+    def aim(self, terms: ProgramTerms, *, is_wish: bool) -> None:
+        """Minimize the peak."""
+        del is_wish
+        terms.least_peak(self.signal)
 
     def rank(self, extent: Extent) -> float:
         """Return the peak, in the unit of the signal."""
@@ -311,6 +495,15 @@ class MinSpectralRadius(Objective):
     def quantities(self) -> tuple[str, ...]:
         """The spectral radius."""
         return ("spectral_radius",)
+
+    @property
+    def is_in_program(self) -> bool:
+        """False: a program has no multipliers."""
+        return False
+
+    def costs(self, trial: Trial) -> tuple[Slope, ...]:
+        """Return the spectral radius."""
+        return (trial.differenced("spectral_radius"),)
 
     @property
     def least(self) -> float:
@@ -355,6 +548,25 @@ class MaxMargin(Sampled):
         return (PERSISTENCE,)
 
     @property
+    def is_maximized(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def is_in_program(self) -> bool:
+        """False: the distance follows from many orbits."""
+        return False
+
+    def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
+        """Reject a search without a free value."""
+        del problem
+        if not free:
+            raise InputError(
+                "Argument `objective` asks for the widest margin, which needs a free value: name "
+                "its range in `vary`."
+            )
+
+    @property
     def least(self) -> float:
         """Minus a whole range."""
         return -1.0
@@ -389,6 +601,21 @@ class MaxPush(Sampled, WorstCase):
     def quantities(self) -> tuple[str, ...]:
         """The least push."""
         return (PUSH,)
+
+    @property
+    def is_maximized(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def is_in_program(self) -> bool:
+        """False: the push follows from many motions."""
+        return False
+
+    @property
+    def trial_corners(self) -> list[dict[str, float]]:
+        """None: the least push over the corners follows from the search's own orbit."""
+        return []
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject impulses of different units, and ranges without a meaning."""
@@ -428,6 +655,19 @@ class OfImpacts(Sampled, WorstCase):
         """The objective in words."""
         where = f" on {self.stop}" if self.stop else ""
         return f"the least {self.what}{where} in a period{self.in_worst_case}"
+
+    def costs(self, trial: Trial) -> tuple[Slope, ...]:
+        """Return the quantity, summed over stops and sequences."""
+        return (trial.point.impact_cost(self.stop, self.quantity),)
+
+    def struck(self, point: MeasuredOrbit) -> dict[str, float]:
+        """Return the fastest first impact of every stop of the objective that is struck."""
+        return point.impact_speed(self.stop)
+
+    def aim(self, terms: ProgramTerms, *, is_wish: bool) -> None:
+        """Minimize the quantity."""
+        del is_wish
+        terms.least_of_impacts(self.stop, self.quantity)
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject an unknown stop, and ranges without a meaning."""

@@ -13,7 +13,7 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Push
 from zeno_orbits.model import ParameterValues
 from zeno_orbits.orbits import Bound, EventReturn, Orbit
-from zeno_orbits.search.objectives import MaxMargin, MaxPush, Objective
+from zeno_orbits.search.objectives import Objective
 from zeno_orbits.search.search_problem import listed
 from zeno_orbits.search.settings import SearchMethod, SearchStatus
 from zeno_orbits.simulation import Extent
@@ -288,13 +288,12 @@ class EventSearchResult:
     @property
     def is_measured(self) -> bool:
         """True if the objective is a quantity of the orbit, and not a distance of values."""
-        return bool(self.objective.is_sampled or self.objective.quantities)
+        return self.objective.is_measured
 
     @property
     def score(self) -> float:
         """Score of the orbit. A lower score is better."""
-        is_maximized = isinstance(self.objective, MaxPush | MaxMargin)
-        return -self.worst if is_maximized else self.worst
+        return -self.worst if self.objective.is_maximized else self.worst
 
     @property
     def told_push(self) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, EventSequence, Orbit
-from zeno_orbits.search.objectives import NearestGains, Objective, Target, TargetPeriod
+from zeno_orbits.search.objectives import NearestGains, Objective, TargetPeriod
 from zeno_orbits.search.outcome import (
     Accept,
     Candidate,
@@ -294,7 +294,7 @@ def _enough_failures(search: SearchProblem) -> int:
     A target or a bound is approached in small steps from every start. This takes long, and most
     starts end near the same point.
     """
-    slow = isinstance(search.objective, Target) or search.bounds
+    slow = search.objective.prescribes or search.bounds
     return 2 if slow else 5
 
 

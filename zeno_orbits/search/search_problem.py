@@ -64,7 +64,7 @@ class SearchProblem:
     def seeks_optimum(self) -> bool:
         """True if starts all over the box are compared, False for the nearest orbit."""
         several = self.free and self.settings.n_starts > 0 and self.near is None
-        return bool(several and (self.objective.quantities or self.objective.is_sampled))
+        return bool(several and self.objective.is_measured)
 
     def score(self, values: ParameterValues, extents: Mapping[str, Extent]) -> float:
         """Return the score of an orbit. A lower score is better.

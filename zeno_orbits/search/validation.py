@@ -22,8 +22,6 @@ from zeno_orbits.orbits import (
 )
 from zeno_orbits.search.objectives import (
     LEAST_RADIUS,
-    MaxMargin,
-    MinEnergy,
     MinSpectralRadius,
     Objective,
     TargetPeriod,
@@ -162,13 +160,8 @@ def check_objective(
     Raises:
         InputError: If the objective is not valid. The message names the invalid part.
     """
-    if isinstance(objective, MaxMargin) and not free:
-        raise InputError(
-            "Argument `objective` asks for the widest margin, which needs a free value: name its "
-            "range in `vary`."
-        )
     objective.check(problem, free)
-    if isinstance(objective, MinEnergy):
+    if objective.needs_source:
         _require_source(problem.compiled_graph(), "objective", objective.wish)
 
 

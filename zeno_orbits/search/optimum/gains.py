@@ -18,7 +18,6 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import (
-    ENERGY,
     Bound,
     EventReturn,
     EventSequence,
@@ -35,22 +34,16 @@ from zeno_orbits.search.closing.closing import (
     return_near,
     settled_return,
 )
+from zeno_orbits.search.measures import Slope
 from zeno_orbits.search.nearness import nearness_of
 from zeno_orbits.search.objectives import (
     PERSISTENCE,
     PUSH,
     MaxMargin,
     MaxPush,
-    MinEnergy,
-    MinPeak,
-    MinSpectralRadius,
     NearestGains,
     Objective,
-    OfImpacts,
     Target,
-    TargetPeriod,
-    WorstCase,
-    corners_of,
 )
 from zeno_orbits.search.optimum.least_worst import (
     PRECISION,
@@ -63,11 +56,9 @@ from zeno_orbits.search.optimum.paths import TO_VALUES, OrbitPaths
 from zeno_orbits.search.optimum.persistence import widest
 from zeno_orbits.search.optimum.points import (
     DIFFERENCED,
-    RADIUS,
     NoEventError,
     OrbitAtValues,
     OrbitsOverValues,
-    Slope,
 )
 from zeno_orbits.search.optimum.strength import strongest
 from zeno_orbits.search.outcome import Accept, EventSearchResult
@@ -134,10 +125,6 @@ class GainSearch:
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
     on_progress: Progress = silent
 
-    @property
-    def _uncertain(self) -> Mapping[str, tuple[float, float]]:
-        return self.objective.uncertain if isinstance(self.objective, WorstCase) else {}
-
     def returned(self, place: ParameterValues, start: Mapping[str, float] | None) -> EventReturn:
         """Return the orbit to which a motion settles, or that the known orbit becomes.
 
@@ -165,7 +152,7 @@ class GainSearch:
             shape=self.shape,
             until=self.until,
             simulation=self.simulation,
-            changing=(*self.free, *self._uncertain),
+            changing=(*self.free, *self.objective.parameter_ranges),
             on_progress=self.on_progress,
         )
 
@@ -211,11 +198,8 @@ class GainSearch:
             starts=self.starts,
             shape=self.shape,
         )
-        if isinstance(self.objective, TargetPeriod):
-            self.objective.require_near([found.period])
+        self.objective.require_near([found.period])
         orbits.begin(found)
-        # The least push over the corners follows from the orbit at the search's own parameters.
-        corners = () if isinstance(self.objective, MaxPush) else corners_of(self._uncertain)
         task = _Task(
             orbits=orbits,
             origin=self.origin,
@@ -224,7 +208,7 @@ class GainSearch:
             objective=self.objective,
             bounds=self.bounds,
             method=method,
-            corners=({}, *corners),
+            corners=({}, *self.objective.trial_corners),
             on_progress=self.on_progress,
         )
         return _result(task, place)
@@ -311,7 +295,10 @@ class _Task:
         self.on_progress("optimizing", None)
         numbers = self.numbers(u)
         points = tuple(self.orbits.at(numbers, corner) for corner in self.corners)
-        costs = tuple(tuple(map(self._in_box, self._costs(point, numbers))) for point in points)
+        costs = tuple(
+            tuple(map(self._in_box, self.objective.costs(_Costed(self, point, numbers))))
+            for point in points
+        )
         rows: list[Slope] = []
         equal: list[Slope] = []
         for point, corner in zip(points, self.corners, strict=True):
@@ -321,11 +308,7 @@ class _Task:
                     equal.append(min(found[: len(found) // 2], key=lambda one: one.value))
                 else:
                     rows += found
-        if isinstance(self.objective, Target):
-            target = self.objective.target
-            equal.append(
-                self._in_box(points[0].prescribed(self.objective).scaled(1 / target, target))
-            )
+        equal += map(self._in_box, self.objective.misses(points[0]))
         return Sample(u=u, points=points, costs=costs, rows=tuple(rows), equal=tuple(equal))
 
     def bound_equations(self, trial: Sample) -> tuple[Slope, ...]:
@@ -334,7 +317,7 @@ class _Task:
         Args:
             trial: The trial. A target is its last equation.
         """
-        return trial.equal[:-1] if isinstance(self.objective, Target) else trial.equal
+        return trial.equal[:-1] if self.objective.prescribes else trial.equal
 
     def excess(self, trial: Sample) -> float:
         """Return the largest violation of a bound, zero if all bounds hold.
@@ -373,7 +356,7 @@ class _Task:
             found: The optimum up to an edge.
             first: The first trial of the search.
         """
-        if not isinstance(self.objective, WorstCase):
+        if not self.objective.has_edges:
             return found
         return along_edges(self.trial, found, abs(first.value) or 1.0)
 
@@ -393,23 +376,6 @@ class _Task:
         return [
             number.scaled(sign).scaled(-1 / size, end) for sign, end in ends if math.isfinite(end)
         ]
-
-    def _costs(self, point: OrbitAtValues, numbers: Vector) -> tuple[Slope, ...]:
-        """Return the numbers whose largest is the objective."""
-        if isinstance(self.objective, OfImpacts):
-            return (point.impact_cost(self.objective),)
-        if isinstance(self.objective, MinEnergy):
-            return tuple(point.slopes(ENERGY))
-        if isinstance(self.objective, MinPeak):
-            return point.peak_costs(self.objective.signal)
-        if isinstance(self.objective, MinSpectralRadius):
-            return (self.orbits.differenced(RADIUS, point, numbers, self.ranges, {}),)
-        nearness = nearness_of(self.origin, self.free)
-        here = dict(zip(self.free, map(float, numbers), strict=True))
-        wanted = {**nearness.first, **self.objective.goal}
-        value = nearness.distance(here, self.objective.goal)
-        by = [(here[name] - wanted[name]) / nearness.sizes[name] ** 2 for name in self.free]
-        return (Slope(value=value, by=np.array(by)),)
 
     def by_program(self, first: Sample) -> tuple[Optimum, int]:
         """Return the optimum of the program near a first trial, and Ipopt's iterations.
@@ -476,6 +442,42 @@ class _Task:
         low, high = self.ranges.T
         numbers = np.array([values.number(name) for name in self.free])
         return (numbers - low) / np.where(high > low, high - low, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Costed:
+    """An orbit of a trial.
+
+    Attributes:
+        task: The search.
+        point: The orbit.
+        numbers: Free values, ``(k,)``.
+    """
+
+    task: _Task
+    point: OrbitAtValues
+    numbers: Vector
+
+    def nearness(self, goal: Mapping[str, float]) -> Slope:
+        """Return the distance of the free values from a goal, or from their start.
+
+        Args:
+            goal: Name to target value.
+        """
+        free = self.task.free
+        nearness = nearness_of(self.task.origin, free)
+        here = dict(zip(free, map(float, self.numbers), strict=True))
+        wanted = {**nearness.first, **goal}
+        by = [(here[name] - wanted[name]) / nearness.sizes[name] ** 2 for name in free]
+        return Slope(value=nearness.distance(here, goal), by=np.array(by))
+
+    def differenced(self, name: str) -> Slope:
+        """Return a quantity whose derivatives are differences, at the search's own parameters.
+
+        Args:
+            name: Name of the quantity.
+        """
+        return self.task.orbits.differenced(name, self.point, self.numbers, self.task.ranges, {})
 
 
 def _result(task: _Task, place: ParameterValues) -> BestOrbit:
@@ -752,29 +754,22 @@ def _lacking(task: _Task, trial: Sample, extents: Mapping[str, Extent]) -> str:
         if side <= _AT_BOUND
     ]
     at = f"at {where} ({', '.join(held)})" if held else f"at {where}"
-    wish = task.objective.wish
+    wish, seen = task.objective.wish, task.objective.reached(trial.points[0])
     if broken:
         reached = f"No orbit was found that keeps all bounds. The nearest one, {at}: {broken}"
-        if isinstance(task.objective, Target):
-            reached += f" There the orbit has {_reached(trial, task.objective)}."
-        return reached
+        return f"{reached} There the orbit has {seen}." if seen else reached
     if not isinstance(task.objective, Target):
         return f"No orbit with {wish} was found in the ranges."
-    miss = abs(trial.points[0].prescribed(task.objective).value - task.objective.target)
+    miss = abs(task.objective.prescribed(trial.points[0]).value - task.objective.target)
     kept = ", ".join(
         f"`{bound.name}` is within {bound.text} by {-excess(bound, extents[bound.name]):.3g}"
         for bound in task.bounds
     )
     return (
         f"No orbit with {wish} was found in the ranges. The nearest that was reached has "
-        f"{_reached(trial, task.objective)}, {at}; missed: `{wish}` by {miss:.3g}"
+        f"{seen}, {at}; missed: `{wish}` by {miss:.3g}"
         f"{f'; {kept}' if kept else ''}."
     )
-
-
-def _reached(trial: Sample, target: Target) -> str:
-    """Return the prescribed quantity of a trial, in words."""
-    return replace(target, target=trial.points[0].prescribed(target).value).wish
 
 
 def _size_of(bound: Bound, extent: Extent) -> float:
@@ -794,10 +789,8 @@ def _extent(points: Sequence[OrbitAtValues], name: str) -> Extent:
 def _vanishing(task: _Task, first: Sample, last: Sample) -> dict[str, float]:
     """Return the impacts that no bound keeps and whose speed falls to nothing at every corner."""
     objective = task.objective
-    if not isinstance(objective, OfImpacts):
-        return {}
-    begun = first.points[0].impact_speed(objective)
-    ended = [point.impact_speed(objective) for point in last.points]
+    begun = objective.struck(first.points[0])
+    ended = [objective.struck(point) for point in last.points]
     kept = {bound.name for bound in task.bounds if bound.lower > 0.0}
     speeds = {stop: max(one.get(stop, 0.0) for one in ended) for stop in begun}
     return {
@@ -811,9 +804,7 @@ def _least_speeds(
     objective: Objective, first: Sample, vanishing: Mapping[str, float]
 ) -> tuple[Bound, ...]:
     """Return bounds that keep impacts which would vanish."""
-    if not isinstance(objective, OfImpacts):
-        return ()
-    speeds = first.points[0].impact_speed(objective)
+    speeds = objective.struck(first.points[0])
     return tuple(
         Bound(name=f"{stop}.impact_speed", lower=float(f"{_SUGGESTED * speeds[stop]:.1g}"))
         for stop in vanishing

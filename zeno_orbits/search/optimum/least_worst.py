@@ -24,7 +24,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.orbits import PathStep, StepControl, StepError, follow_path
-from zeno_orbits.search.optimum.points import OrbitAtValues, Slope
+from zeno_orbits.search.measures import Slope
+from zeno_orbits.search.optimum.points import OrbitAtValues
 
 _BOXES = StepControl(first=0.25, longest=1.0, shortest=1e-3, most=12, growth=2.0, shrinkage=0.25)
 """Half widths of boxes in units of the ranges."""

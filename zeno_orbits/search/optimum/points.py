@@ -39,7 +39,8 @@ from zeno_orbits.orbits import (
     start_by_parameters,
 )
 from zeno_orbits.search.closing.closing import indices_of, settled_return
-from zeno_orbits.search.objectives import LEAST_RADIUS, OfImpacts, Target, TargetAmplitude
+from zeno_orbits.search.measures import Slope
+from zeno_orbits.search.objectives import LEAST_RADIUS
 from zeno_orbits.simulation import Extent, SimulationSettings
 from zeno_orbits.verification import EVENT_MARGINS, SHARE, measured_margin
 
@@ -67,27 +68,6 @@ class NoEventError(StepError):
     def __init__(self, argument: str, message: str) -> None:
         super().__init__(message)
         self.argument = argument
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Slope:
-    """A number at an orbit, and its derivative along the orbits.
-
-    Attributes:
-        value: The number.
-        by: Its derivative with respect to the free values, ``(k,)``.
-    """
-
-    value: float
-    by: Vector
-
-    def __add__(self, other: Slope) -> Slope:
-        """Return the sum."""
-        return Slope(value=self.value + other.value, by=self.by + other.by)
-
-    def scaled(self, factor: float, less: float = 0.0) -> Slope:
-        """Return a multiple of the number minus another."""
-        return Slope(value=factor * (self.value - less), by=factor * self.by)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,16 +190,6 @@ class OrbitAtValues:
         (most,), (least,) = self.peaks(state, 1.0, 1), self.peaks(state, -1.0, 1)
         return (most + least).scaled(0.5)
 
-    def prescribed(self, target: Target) -> Slope:
-        """Return the quantity whose value an objective prescribes.
-
-        Args:
-            target: The objective.
-        """
-        if isinstance(target, TargetAmplitude):
-            return self.amplitude(target.state)
-        return self.slopes(PERIOD)[0]
-
     def objection(self, bounds: Sequence[Bound]) -> str:
         """Return a clause with the violated bounds, empty without any.
 
@@ -275,31 +245,33 @@ class OrbitAtValues:
         """Return constants that complete a list of a number of values."""
         return [Slope(value=value, by=np.zeros(len(self.chosen)))] * (MOST_PEAKS - n)
 
-    def stops(self, objective: OfImpacts) -> tuple[str, ...]:
-        """Return the stops of an objective."""
-        return (objective.stop,) if objective.stop else self.graph.stop_names
+    def _stops(self, stop: str) -> tuple[str, ...]:
+        return (stop,) if stop else self.graph.stop_names
 
-    def impact_speed(self, objective: OfImpacts) -> dict[str, float]:
-        """Return the fastest first impact of every stop of an objective that is struck."""
-        found = {
-            stop: self.quantities.extent(f"{stop}.impact_speed") for stop in self.stops(objective)
-        }
-        return {stop: one.highest for stop, one in found.items() if one is not None}
-
-    def impact_cost(self, objective: OfImpacts) -> Slope:
-        """Return the quantity of an objective, summed over stops and sequences.
+    def impact_speed(self, stop: str) -> dict[str, float]:
+        """Return the fastest first impact of every stop that is struck.
 
         Args:
-            objective: The objective.
+            stop: Name of a stop, or an empty text for all stops.
+        """
+        found = {one: self.quantities.extent(f"{one}.impact_speed") for one in self._stops(stop)}
+        return {one: extent.highest for one, extent in found.items() if extent is not None}
+
+    def impact_cost(self, stop: str, quantity: str) -> Slope:
+        """Return a quantity of impacts, summed over stops and sequences.
+
+        Args:
+            stop: Name of a stop, or an empty text for all stops.
+            quantity: Word of the quantity, such as ``energy_lost``.
 
         Raises:
             NoEventError: If no such event occurs.
         """
-        names = [f"{stop}.{objective.quantity}" for stop in self.stops(objective)]
+        names = [f"{one}.{quantity}" for one in self._stops(stop)]
         readings = [one for name in names for one in self.quantities.readings(name)]
-        if not self.impact_speed(objective) or not readings:
-            where = f"on `{objective.stop}`" if objective.stop else "on any stop"
-            raise NoEventError("objective", f"`{objective.quantity}` does not occur {where}")
+        if not self.impact_speed(stop) or not readings:
+            where = f"on `{stop}`" if stop else "on any stop"
+            raise NoEventError("objective", f"`{quantity}` does not occur {where}")
         total = self.slope(readings[0])
         for one in readings[1:]:
             total += self.slope(one)

@@ -25,7 +25,7 @@ from zeno_orbits.orbits import (
     largest_states,
     orbit_event_name,
 )
-from zeno_orbits.search.objectives import MinPeak, Objective, Target
+from zeno_orbits.search.objectives import Objective
 from zeno_orbits.search.program.elements import ElementBuilder, ElementProgram, ElementSolution
 from zeno_orbits.search.program.ipopt import IpoptSettings, SolveStatus
 from zeno_orbits.search.program.terms import (
@@ -107,7 +107,7 @@ class ProgramTask:
     @property
     def is_measured(self) -> bool:
         """True if the objective is a quantity of the orbit, and not a distance of values."""
-        return bool(self.objective.quantities or self.objective.is_sampled)
+        return self.objective.is_measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,7 +162,7 @@ def orbit_by_program(
     settings = simulation or SimulationSettings()
     state = _State(
         here=_Motions(values=values, found=near, corners=tuple(corners)),
-        is_wish=isinstance(task.objective, Target),
+        is_wish=task.objective.prescribes,
         half=_FIRST_BOX if task.is_measured else 1.0,
     )
     while not state.is_over and state.number < _MOST_ROUNDS:
@@ -272,7 +272,7 @@ def _judged(
     """
     own = solved.periods[0]
     is_held = _is_held(before.here, task, before.half, solved.solution.unknowns[own.free])
-    limit = _NEAR if isinstance(task.objective, MinPeak) else _STILL
+    limit = _NEAR if task.objective.has_edges and task.objective.signals else _STILL
     is_still = _moved(task, before.here.values, state.here.values) <= limit
     is_still |= not signals_of(task.objective, task.bounds, own.graph)
     converged = agrees and is_still and not is_held and not before.is_wish
@@ -396,7 +396,7 @@ def _written(
     terms = SearchTerms(periods=periods, free=free, places=places)
     if not task.is_measured:
         terms.nearest(task.origin, task.units, task.objective.goal)
-    terms.aim(task.objective, is_wish=state.is_wish)
+    task.objective.aim(terms, is_wish=state.is_wish)
     for bound in task.bounds:
         terms.keep(bound, task.sizes[bound.name])
     if state.has_contacts:

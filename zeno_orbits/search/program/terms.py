@@ -20,18 +20,7 @@ from zeno_orbits.arrays import Array, Rows
 from zeno_orbits.integrators import lagrange_basis, radau_scheme
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits import ENERGY, PERIOD, Bound, course_signal_names
-from zeno_orbits.search.objectives import (
-    MinBounceTime,
-    MinEnergy,
-    MinImpactLoss,
-    MinPeak,
-    NearestGains,
-    Objective,
-    OfImpacts,
-    Target,
-    TargetAmplitude,
-    TargetPeriod,
-)
+from zeno_orbits.search.objectives import Objective
 from zeno_orbits.search.program.elements import LegElement, Terms
 from zeno_orbits.search.program.formulas import FALL
 from zeno_orbits.search.program.writer import LegPlaces, PeriodProgram
@@ -39,16 +28,6 @@ from zeno_orbits.simulation import Impact, SwitchEvent
 
 IMPACT_SPEED, BOUNCE_TIME, ENERGY_LOST = "impact_speed", "bounce_time", "energy_lost"
 """Words of the quantities of a stop that a program has."""
-_SERVED = (
-    NearestGains,
-    TargetPeriod,
-    TargetAmplitude,
-    MinEnergy,
-    MinPeak,
-    MinImpactLoss,
-    MinBounceTime,
-)
-"""Objectives that a program has."""
 _SAMPLES = 12
 """Samples of an interval in which extremes are looked for."""
 _POSITION = 1e-9
@@ -67,7 +46,7 @@ def lacking_terms(graph: GraphDynamics, objective: Objective, bounds: Sequence[B
         objective: The objective.
         bounds: The bounds.
     """
-    if not isinstance(objective, _SERVED):
+    if not objective.is_in_program:
         return f"the objective {objective.wish}"
     words = (IMPACT_SPEED, BOUNCE_TIME, ENERGY_LOST)
     events = [f"{stop}.{word}" for stop in graph.stop_names for word in words]
@@ -86,7 +65,7 @@ def needs_work(objective: Objective, bounds: Sequence[Bound], graph: GraphDynami
     """
     signals = course_signal_names(graph.compiled)
     about = any(bound.name == ENERGY and ENERGY not in signals for bound in bounds)
-    return about or isinstance(objective, MinEnergy)
+    return about or objective.needs_source
 
 
 def signals_of(
@@ -101,11 +80,7 @@ def signals_of(
     """
     known = course_signal_names(graph.compiled)
     names = [bound.name for bound in bounds if bound.name in known]
-    if isinstance(objective, TargetAmplitude):
-        names.append(objective.state)
-    if isinstance(objective, MinPeak):
-        names.append(objective.signal)
-    return tuple(dict.fromkeys(names))
+    return tuple(dict.fromkeys([*names, *objective.signals]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -341,28 +316,41 @@ class SearchTerms:
         for name, place in self.free.items():
             self._own.builder.cost_of_distance(place, 1 / sizes[name] ** 2, wanted[name])
 
-    def aim(self, objective: Objective, *, is_wish: bool) -> None:
-        """Add the objective, other than the distance of free values.
+    def least_work(self) -> None:
+        """Minimize the largest work of a period."""
+        self._least([self._work(period) for period in self.periods])
+
+    def least_of_impacts(self, stop: str, quantity: str) -> None:
+        """Minimize the largest sum of a quantity of impacts in a period.
 
         Args:
-            objective: The objective.
-            is_wish: Whether a target counts by its distance only, beside the free values.
+            stop: Name of a stop, or an empty text for all stops.
+            quantity: Word of the quantity.
         """
-        if isinstance(objective, Target):
-            self._reach(objective, is_wish=is_wish)
-        elif isinstance(objective, MinPeak):
-            self._least_peak(objective.signal)
-        elif isinstance(objective, MinEnergy):
-            self._least([self._work(period) for period in self.periods])
-        elif isinstance(objective, OfImpacts):
-            self._least([self._of_impacts(period, objective) for period in self.periods])
+        self._least([self._of_impacts(period, stop, quantity) for period in self.periods])
 
-    def _reach(self, objective: Target, *, is_wish: bool) -> None:
-        target, builder = objective.target, self._own.builder
-        if isinstance(objective, TargetAmplitude):
-            reached = self._amplitude(objective.state)
-        else:
-            reached = self._summed(self._own, {self._own.period: 1.0}, {})
+    def reach(self, name: str, target: float, *, is_wish: bool) -> None:
+        """Prescribe a number of the orbit at the search's own parameters.
+
+        Args:
+            name: The period, the energy, or a quantity of an event, whose first value counts.
+            target: The value.
+            is_wish: Whether the target counts by its distance only, beside the free values.
+        """
+        self._reach(self._bounded(self._own, name)[0], target, is_wish=is_wish)
+
+    def reach_amplitude(self, state: str, target: float, *, is_wish: bool) -> None:
+        """Prescribe half the range of a state at the search's own parameters.
+
+        Args:
+            state: Name of the state.
+            target: The amplitude.
+            is_wish: As for `reach`.
+        """
+        self._reach(self._amplitude(state), target, is_wish=is_wish)
+
+    def _reach(self, reached: Sum, target: float, *, is_wish: bool) -> None:
+        builder = self._own.builder
         linear, outputs = reached.terms()
         if not is_wish:
             builder.rows("target", linear=linear, outputs=outputs, constant=-target, size=target)
@@ -407,12 +395,11 @@ class SearchTerms:
             value += float(found @ np.array(list(outputs.values())))
         return Sum(unknowns=unknowns, outputs=outputs, guess=value)
 
-    def _of_impacts(self, period: PeriodProgram, objective: OfImpacts) -> Sum:
-        stops = (objective.stop,) if objective.stop else period.graph.stop_names
+    def _of_impacts(self, period: PeriodProgram, stop: str, quantity: str) -> Sum:
         unknowns: dict[int, float] = {}
         outputs: dict[int, float] = {}
-        for stop in stops:
-            for one in self._quantities(period, stop, objective.quantity):
+        for name in (stop,) if stop else period.graph.stop_names:
+            for one in self._quantities(period, name, quantity):
                 unknowns |= one.unknowns
                 outputs |= one.outputs
         return self._summed(period, unknowns, outputs)
@@ -497,7 +484,12 @@ class SearchTerms:
                 label, linear=linear, outputs=outputs, size=size, lower=lower, upper=upper
             )
 
-    def _least_peak(self, name: str) -> None:
+    def least_peak(self, name: str) -> None:
+        """Minimize the peak of a signal: its largest absolute value in all periods.
+
+        Args:
+            name: Name of the signal.
+        """
         builder = self._own.builder
         size = max(
             float(np.max(np.abs(signal_along(period, places, name)[1])))

@@ -26,7 +26,7 @@ from zeno_orbits.orbits import (
     objection_to,
 )
 from zeno_orbits.search.closing.closing import settled_return
-from zeno_orbits.search.objectives import Target, TargetPeriod
+from zeno_orbits.search.objectives import TargetPeriod
 from zeno_orbits.search.optimum.points import OrbitAtValues
 from zeno_orbits.search.search_problem import SearchProblem, clipped
 from zeno_orbits.simulation import Extent, SimulationSettings, ZenoExtrapolation, simulate
@@ -238,14 +238,12 @@ def _scored(search: SearchProblem, values: ParameterValues, attractor: Attractor
         told["spectral_radius"] = attractor.spectral_radius
     extents = {name: Extent(lowest=x, highest=x) for name, x in told.items()}
     missing = [name for name in names if name not in told]
-    target = objective if isinstance(objective, Target) else None
     score = 0.0
-    if missing or target is not None:
+    if missing or objective.prescribes:
         point = _point_at(search, values, attractor)
         extents |= {name: point.extent(name) for name in missing}
-        if target is not None:
-            score = abs(point.prescribed(target).value - target.target) / target.target
-    if target is None and not objective.is_sampled:
+        score = max((abs(miss.value) for miss in objective.misses(point)), default=0.0)
+    if not (objective.prescribes or objective.is_sampled):
         score = search.score(values, extents)
     return _Rank(0, bool(objection_to(search.bounds, extents)), score)
 

@@ -119,7 +119,7 @@ def _judged(
         )
         return refused, judgement
     objective, score = search.objective, solution.score
-    if search.free and not (objective.quantities or objective.is_sampled):
+    if search.free and not objective.is_measured:
         score = search.score(solution.values, extents)
     candidate = Candidate(
         orbit=orbit,

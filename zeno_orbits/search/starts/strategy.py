@@ -18,7 +18,7 @@ from zeno_orbits.orbits import (
 from zeno_orbits.search.closing.closing import event_orbit_of, return_near, settled_return
 from zeno_orbits.search.closing.limits import beyond_limits
 from zeno_orbits.search.closing.line import Followed
-from zeno_orbits.search.objectives import MaxMargin, MaxPush, NearestGains
+from zeno_orbits.search.objectives import NearestGains
 from zeno_orbits.search.optimum.gains import BestOrbit, GainSearch
 from zeno_orbits.search.optimum.paths import TO_VALUES, OrbitPaths
 from zeno_orbits.search.optimum.points import OrbitsOverValues
@@ -125,7 +125,7 @@ def from_orbit(search: SearchProblem, values: ParameterValues, found: EventRetur
         found: The orbit.
     """
     # Margins and pushes of one orbit are not part of its search.
-    is_held = not search.free and isinstance(search.objective, MaxMargin | MaxPush)
+    is_held = not search.free and search.objective.is_maximized
     gains = GainSearch(
         problem=search.problem,
         origin=search.values,
