@@ -147,7 +147,6 @@ from .search.objectives import MinEnergy as MinEnergy
 from .search.objectives import MinPeak as MinPeak
 from .report.exploration.explore import explore as explore
 from .search.objectives import MaxPush as MaxPush
-from .search.outcome import EventSearchResult as EventSearchResult
 from .search.objectives import MinBounceTime as MinBounceTime
 from .search.objectives import MinImpactLoss as MinImpactLoss
 from .search.objectives import NearestGains as NearestGains
@@ -188,7 +187,6 @@ __all__ = [
     "Drawing",
     "EnclosedEvent",
     "EquationsWarning",
-    "EventSearchResult",
     "EventSequence",
     "Execution",
     "ExecutionPlan",

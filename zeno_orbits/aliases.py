@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 ALIASES: Mapping[str, tuple[str, str]] = {
     "EventOrbit": ("Orbit", "orbits.orbit:Orbit"),
+    "EventSearchResult": ("SearchResult", "search.outcome:SearchResult"),
     "ZenoOrbit": ("Orbit", "orbits.orbit:Orbit"),
     "read_event_orbit": ("read_orbit", "orbits.orbit_file:read_orbit"),
     "write_event_orbit": ("write_orbit", "orbits.orbit_file:write_orbit"),

@@ -281,7 +281,7 @@ OWN: dict[str, dict[str, Callable[[], Any]]] = {
 
 RESULTS = (
     *("CompletedSystem", "Comparison", "Continuation", "EnclosedEvent", "EventComparison"),
-    *("Orbit", "EventSearchResult", "Execution", "ExecutionWithError", "Family"),
+    *("Orbit", "Execution", "ExecutionWithError", "Family"),
     *("Identification", "OrbitCertificate", "ParameterMap", "PeriodEnclosure", "Proof"),
     *("BranchProof", "BranchVerdict"),
     *("ProofVerdict", "Pushes", "Recording", "Recovery", "RigRun", "SearchResult", "SwitchEvent"),

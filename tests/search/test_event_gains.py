@@ -18,7 +18,7 @@ from tests.support.relays import UNCERTAIN, pulsed_relay, switching_times
 A, S, E = 20.0, 0.1, 0.5
 
 
-def _search(free: dict[str, tuple[float, float]], **options: Any) -> zo.EventSearchResult:
+def _search(free: dict[str, tuple[float, float]], **options: Any) -> zo.SearchResult:
     return zo.search_event_gains(
         "hopper", vary=free, parameters={"a": A, "s": S, "restitution": E}, **options
     )

@@ -20,7 +20,7 @@ from tests.support.commands import NO, YES, ask
 G = 9.81
 
 
-def widest(name: str, free: dict[str, tuple[float, float]], **options: Any) -> zo.EventSearchResult:
+def widest(name: str, free: dict[str, tuple[float, float]], **options: Any) -> zo.SearchResult:
     """Return the orbit of the widest margin, which must be verified."""
     found = zo.search_event_gains(name, vary=free, objective=zo.MaxMargin(), **options)
     assert found.certificate is not None

@@ -31,7 +31,7 @@ from zeno_orbits.simulation import SimulationSettings
 BOX = {"U": (6.0, 25.0)}
 
 
-def _search(objective: Any, **options: Any) -> zo.EventSearchResult:
+def _search(objective: Any, **options: Any) -> zo.SearchResult:
     return zo.search_event_gains(COIL_HOPPER, objective=objective, **options)
 
 

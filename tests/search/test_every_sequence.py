@@ -293,6 +293,47 @@ def test_shooting_replaces_an_optimum_that_the_check_refuses() -> None:
     assert found.free["a"] == pytest.approx(15.0)
 
 
+def test_every_search_tells_the_optimum_that_it_reached() -> None:
+    # The loss is a s, and the bound on v^2 = 2 a s / (1 - e^2) decides: a = 15 and a loss of 1.5.
+    asked: dict[str, Any] = {
+        "vary": {"a": (5.0, 40.0)},
+        "objective": zo.MinImpactLoss(),
+        "bounds": [zo.Bound(name="stop.impact_speed", lower=2.0)],
+    }
+    once = zo.SearchSettings(n_starts=0)
+    for found in (
+        zo.search_gains("hopper", **asked, settings=once),
+        zo.search_event_gains("hopper", **asked, n_starts=0),
+    ):
+        (best,) = found.candidates
+        assert found.unwrap() == best.orbit
+        assert found.status.name == "FOUND"
+        assert found.free["a"] == pytest.approx(15.0, rel=1e-8)
+        assert found.value == found.worst == pytest.approx(1.5, rel=1e-8)
+        assert best.score == pytest.approx(1.5, rel=1e-8)
+        assert best.extents["stop.impact_speed"].lowest == pytest.approx(2.0, rel=1e-8)
+        assert found.asked[0]["kept"]
+        assert found.certificate is not None
+        assert found.certificate.asked == found.asked
+        assert len(found.attempts) == 1
+        assert found.n_orbits > 1
+
+
+def test_a_refused_orbit_is_no_answer() -> None:
+    problem = zo.load_problem("hopper")
+    found = search_event_orbits(
+        problem,
+        problem.values(),
+        free={},
+        accept=lambda _: Verdict(objection="It is refused."),
+    )
+    assert found.orbit is not None
+    assert found.candidates == ()
+    assert (found.status.name, found.attempts[0].detail) == ("NOT_ACCEPTED", "It is refused.")
+    with pytest.raises(zo.OrbitNotFoundError, match="were not accepted"):
+        found.unwrap()
+
+
 def test_an_objective_that_a_program_does_not_have_is_refused() -> None:
     with pytest.raises(zo.InputError, match=r"`method` must be shooting or auto.*contraction"):
         zo.search_event_gains(

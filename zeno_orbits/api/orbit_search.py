@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from zeno_orbits.orbits import Bound, EventSequence
     from zeno_orbits.search import (
         Candidate,
-        EventSearchResult,
         Objective,
         SearchMethod,
         SearchResult,
@@ -252,7 +251,7 @@ def search_event_gains(
     workers: int = 1,
     plan: ExecutionPlan | None = None,
     on_progress: Progress = silent,
-) -> EventSearchResult:
+) -> SearchResult:
     """Find gains of an orbit of events, and verify the orbit.
 
     It searches from one start, unless several orbits are requested, and also chooses the section
@@ -338,7 +337,7 @@ def search_event_gains(
         on_progress=on_progress,
         spread=spread,
     )
-    return _with_event_certificates(result)
+    return _with_certificates(result, bounds)
 
 
 @front_door
@@ -478,30 +477,15 @@ def _with_certificates(result: SearchResult, bounds: Sequence[Bound]) -> SearchR
     def checked(one: Candidate) -> Candidate:
         if one.certificate is None:
             return one
-        asked = tuple(asked_and_reached(bounds, one.extents))
-        certificate = replace(one.certificate, asked=asked)
+        certificate = replace(one.certificate, asked=tuple(asked_and_reached(bounds, one.extents)))
         return replace(one, orbit=with_certificate(one.orbit, certificate), certificate=certificate)
 
     candidates = tuple(map(checked, result.candidates))
-    best = candidates[0].orbit if candidates else result.orbit
-    return replace(result, orbit=best, candidates=candidates)
-
-
-def _with_event_certificates(result: EventSearchResult) -> EventSearchResult:
-    """Return the result with the certificate, bounds and multipliers stored in each orbit."""
-    from zeno_orbits.verification import with_certificate
-
-    candidates = tuple(
-        one
-        if one.certificate is None
-        else replace(one, orbit=with_certificate(one.orbit, one.certificate))
-        for one in result.candidates
-    )
     if result.orbit is None or result.certificate is None:
         return replace(result, candidates=candidates)
-    return replace(
-        result, orbit=with_certificate(result.orbit, result.certificate), candidates=candidates
-    )
+    certificate = replace(result.certificate, asked=result.asked)
+    orbit = with_certificate(result.orbit, certificate)
+    return replace(result, orbit=orbit, certificate=certificate, candidates=candidates)
 
 
 def _boxes(

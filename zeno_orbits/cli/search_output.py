@@ -94,9 +94,7 @@ def on_the_optimum(
     return said + lacking_orbits(options, result)
 
 
-def lacking_orbits(
-    options: argparse.Namespace, result: zo.SearchResult | zo.EventSearchResult
-) -> list[str]:
+def lacking_orbits(options: argparse.Namespace, result: zo.SearchResult) -> list[str]:
     """Return the number of missing orbits and the starts that were used, as a sentence.
 
     Args:
@@ -194,7 +192,7 @@ def map_command(problem: zo.Problem, options: argparse.Namespace, notes: api.Sea
     return " ".join(words)
 
 
-def _attempts(result: zo.SearchResult | zo.EventSearchResult) -> list[dict[str, Any]]:
+def _attempts(result: zo.SearchResult) -> list[dict[str, Any]]:
     return [
         {
             "gains": dict(a.gains),
@@ -206,9 +204,7 @@ def _attempts(result: zo.SearchResult | zo.EventSearchResult) -> list[dict[str, 
     ]
 
 
-def ranking(
-    options: argparse.Namespace, result: zo.SearchResult | zo.EventSearchResult
-) -> dict[str, Any]:
+def ranking(options: argparse.Namespace, result: zo.SearchResult) -> dict[str, Any]:
     """Return the ranked orbits and the failures as plain data, if several orbits were requested.
 
     Args:

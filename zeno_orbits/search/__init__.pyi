@@ -26,8 +26,6 @@ from .objectives import OBJECTIVES as OBJECTIVES
 from .objectives import ObjectiveWord as ObjectiveWord
 from .objectives import Operand as Operand
 from .outcome import Candidate as Candidate
-from .outcome import EventCandidate as EventCandidate
-from .outcome import EventSearchResult as EventSearchResult
 from .outcome import Verdict as Verdict
 from .outcome import OrbitNotFoundError as OrbitNotFoundError
 from .outcome import SearchResult as SearchResult

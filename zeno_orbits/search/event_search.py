@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
@@ -15,7 +16,7 @@ from zeno_orbits.orbits import Bound, EventSequence, Orbit
 from zeno_orbits.search.closing.closing import require_no_other_start
 from zeno_orbits.search.objectives import NearestGains, Objective
 from zeno_orbits.search.optimum.gains import GainSearch
-from zeno_orbits.search.outcome import Accept, EventSearchResult
+from zeno_orbits.search.outcome import Accept, SearchResult, StartAttempt
 from zeno_orbits.search.search_problem import clipped
 from zeno_orbits.search.settings import SearchMethod
 from zeno_orbits.search.starts.candidates import StartEnd, end_of_start, ranked_candidates
@@ -50,7 +51,7 @@ def search_event_orbits(
     simulation: SimulationSettings | None = None,
     on_progress: Progress = silent,
     spread: StartWorkers | None = None,
-) -> EventSearchResult:
+) -> SearchResult:
     """Return the best orbit of events of a machine, or several of them, ranked.
 
     Args:
@@ -82,6 +83,7 @@ def search_event_orbits(
         SimulationError: If no motion settles to an orbit at any of the free values.
         WorkError: If the workers of ``spread`` cannot finish.
     """
+    started = time.perf_counter()
     wish = objective or NearestGains(target={})
     for name, box in free.items():
         problem.require_range(name, box, argument="vary")
@@ -115,20 +117,38 @@ def search_event_orbits(
         ends = _ends_spread(search, places, start, spread)
     with closing(ends):
         if candidates > 1:
-            return ranked_candidates(search, places, ends, n_wanted=candidates, seed=seed)
-        trouble: ZenoOrbitsError | None = None
-        for end in ends:
-            if end.result is not None:
-                return _told(end.result, several=len(places) > 1)
-            trouble = end.error
-            if not isinstance(trouble, SimulationError):
-                break
+            result = ranked_candidates(search, places, ends, n_wanted=candidates, seed=seed)
+        else:
+            result = _first_end(search, places, ends)
+    return replace(result, wall_time=time.perf_counter() - started)
+
+
+def _first_end(
+    search: GainSearch, places: Sequence[ParameterValues], ends: Generator[StartEnd]
+) -> SearchResult:
+    """Return the result of the first start from which a motion settles.
+
+    Raises:
+        ZenoOrbitsError: If there is none, the reason of the last start.
+    """
+    attempts: list[StartAttempt] = []
+    trouble: ZenoOrbitsError | None = None
+    for place, end in zip(places, ends, strict=False):
+        attempts.append(end.attempt(place, search.free))
+        if end.result is not None:
+            found = end.candidate()
+            candidates = () if found is None else (found,)
+            result = replace(end.result, attempts=tuple(attempts), candidates=candidates)
+            return _told(result, several=len(places) > 1)
+        trouble = end.error
+        if not isinstance(trouble, SimulationError):
+            break
     if trouble is None:
         raise AssertionError("A search has a first place.")
     raise trouble
 
 
-def _told(result: EventSearchResult, *, several: bool) -> EventSearchResult:
+def _told(result: SearchResult, *, several: bool) -> SearchResult:
     """Return the result of one start, with a remark if further starts may lead to a better one."""
     objective = result.objective
     is_best = not result.is_measured or result.score <= objective.least

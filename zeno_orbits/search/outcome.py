@@ -13,7 +13,7 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Push
 from zeno_orbits.model import ParameterValues
 from zeno_orbits.orbits import Bound, EventReturn, Orbit
-from zeno_orbits.search.objectives import Objective
+from zeno_orbits.search.objectives import NearestGains, Objective
 from zeno_orbits.search.search_problem import listed
 from zeno_orbits.search.settings import SearchMethod, SearchStatus
 from zeno_orbits.simulation import Extent
@@ -47,26 +47,22 @@ Accept = Callable[[Orbit], Verdict]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Accepted:
-    """The rank of an accepted orbit.
+class Candidate:
+    """An accepted orbit, and its rank.
 
     Attributes:
+        orbit: The orbit.
         score: Score of the orbit. A lower score is better.
+        extents: Name to range of the measured quantities of the objective and the bounds.
         certificate: The certificate of the check, if available.
         starts: Number of starts that led to the orbit. An optimum from a single start may be local.
     """
 
+    orbit: Orbit
     score: float
+    extents: Mapping[str, Extent]
     certificate: OrbitCertificate | None
     starts: int = 1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate(Accepted):
-    """An accepted orbit, with the measured quantities of the objective and the bounds by name."""
-
-    orbit: Orbit
-    extents: Mapping[str, Extent]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,14 +74,14 @@ class SimulatedOrbit:
         found: The periodic return.
         orbit: The same as an orbit, not verified.
         extents: Name to range of the quantities of objective and bounds.
-        score: Its score.
+        result: The result of the search that led to it.
     """
 
     values: ParameterValues
     found: EventReturn
     orbit: Orbit
     extents: Mapping[str, Extent]
-    score: float = 0.0
+    result: SearchResult
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,6 +105,7 @@ class StartOutcome:
         solution: The simulated orbit, if there is one. Other processes do not receive it.
         is_last: True if the orbit is the last one before the end of a family.
         candidate: The orbit with its measured quantities, if it was accepted.
+        result: The result of the search from the start without its orbit, if there was an orbit.
     """
 
     status: SearchStatus
@@ -126,6 +123,7 @@ class StartOutcome:
     solution: SimulatedOrbit | None = None
     is_last: bool = False
     candidate: Candidate | None = None
+    result: SearchResult | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,7 +149,23 @@ class SearchResult(TableRepr):
 
     Attributes:
         status: Status of the search.
-        orbit: The best orbit, or ``None`` after a failure.
+        orbit: The best orbit, or ``None`` after a failure. The orbit of a search from one start
+            that its check refuses remains, with the status `SearchStatus.NOT_ACCEPTED`.
+        certificate: Certificate of the orbit, ``None`` without a check.
+        objective: The objective.
+        free: Name to free value at the end of the search.
+        value: The objective at the search's own parameters.
+        worst: The objective at the worst corner, or at the search's own parameters.
+        worst_at: Name to value of the uncertain parameters there, empty at the search's own.
+        mean: Mean of the objective over the corners, ``None`` without uncertain parameters.
+        asked: The bounds with the ranges that the orbit reaches.
+        vanishing: Speed of each impact that vanishes at the end of the search, by its stop.
+        least_speeds: Bounds that keep a tenth of the first speeds of these impacts.
+        n_orbits: Number of orbits that were closed.
+        push: The least push at the worst corner, if the objective is the largest one.
+        method: The method that found the optimum. Never `SearchMethod.AUTO`.
+        remarks: What one method says about the optimum of the other one, and whether the optimum
+            may be local, as sentences.
         residuals: Row name to scaled violation in the program of the best start.
         agreement: Relative difference of program and simulation over one period.
         closure_error: Estimated relative error of the Zeno closure.
@@ -172,14 +186,28 @@ class SearchResult(TableRepr):
 
     status: SearchStatus
     orbit: Orbit | None
-    residuals: Mapping[str, float]
-    agreement: float
-    closure_error: float
-    n_unknowns: int
-    iterations: int
-    solve_time: float
-    wall_time: float
-    attempts: tuple[StartAttempt, ...]
+    certificate: OrbitCertificate | None = None
+    objective: Objective = field(default_factory=lambda: NearestGains(target={}))
+    free: Mapping[str, float] = field(default_factory=dict[str, float])
+    value: float = math.nan
+    worst: float = math.nan
+    worst_at: Mapping[str, float] = field(default_factory=dict[str, float])
+    mean: float | None = None
+    asked: tuple[Mapping[str, Any], ...] = ()
+    vanishing: Mapping[str, float] = field(default_factory=dict[str, float])
+    least_speeds: tuple[Bound, ...] = ()
+    n_orbits: int = 0
+    push: Push | None = None
+    method: SearchMethod = SearchMethod.SHOOTING
+    remarks: tuple[str, ...] = ()
+    residuals: Mapping[str, float] = field(default_factory=dict[str, float])
+    agreement: float = math.inf
+    closure_error: float = math.inf
+    n_unknowns: int = 0
+    iterations: int = 0
+    solve_time: float = 0.0
+    wall_time: float = 0.0
+    attempts: tuple[StartAttempt, ...] = ()
     candidates: tuple[Candidate, ...] = ()
     detail: str = ""
     undecided: bool = False
@@ -210,80 +238,11 @@ class SearchResult(TableRepr):
         """Return the best orbit.
 
         Raises:
-            OrbitNotFoundError: If no orbit was found. The error contains this result.
+            OrbitNotFoundError: If no orbit was found and accepted. The error contains this result.
         """
-        if self.orbit is None:
+        if self.orbit is None or self.status is not SearchStatus.FOUND:
             raise OrbitNotFoundError(self)
         return self.orbit
-
-
-class OrbitNotFoundError(ZenoOrbitsError):
-    """A search ended without an orbit.
-
-    Attributes:
-        result: The outcome.
-    """
-
-    def __init__(self, result: SearchResult) -> None:
-        super().__init__(f"{result.status.value} {result.detail}".strip())
-        self.result = result
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EventCandidate(Accepted):
-    """An accepted orbit of events."""
-
-    orbit: Orbit
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EventSearchResult:
-    """The best orbit of events in given ranges, or why there is none.
-
-    Attributes:
-        orbit: The orbit, or ``None``.
-        free: Name to free value at the end of the search.
-        objective: The objective.
-        value: The objective at the search's own parameters.
-        worst: The objective at the worst corner, or at the search's own parameters.
-        worst_at: Name to value of the uncertain parameters there, empty at the search's own.
-        mean: Mean of the objective over the corners, ``None`` without uncertain parameters.
-        asked: The bounds with the ranges that the orbit reaches.
-        vanishing: Speed of each impact that vanishes at the end of the search, by its stop.
-        least_speeds: Bounds that keep a tenth of the first speeds of these impacts.
-        n_orbits: Number of orbits that were closed.
-        push: The least push at the worst corner, if the objective is the largest one.
-        certificate: Certificate of the orbit, ``None`` without a check.
-        detail: Reason why there is no orbit, or why the search ended early.
-        candidates: The accepted orbits, the best first, if several were requested.
-        attempts: Every start, in order, if several orbits were requested.
-        n_states: Number of initial states in the search for other attractors at the best values.
-        method: The method that found the optimum. Never `SearchMethod.AUTO`.
-        iterations: Number of iterations of Ipopt.
-        remarks: What one method says about the optimum of the other one, and whether the optimum
-            may be local, as sentences.
-    """
-
-    orbit: Orbit | None
-    free: Mapping[str, float] = field(default_factory=dict[str, float])
-    objective: Objective
-    value: float = math.nan
-    worst: float = math.nan
-    worst_at: Mapping[str, float] = field(default_factory=dict[str, float])
-    mean: float | None = None
-    asked: tuple[Mapping[str, Any], ...] = ()
-    vanishing: Mapping[str, float] = field(default_factory=dict[str, float])
-    least_speeds: tuple[Bound, ...] = ()
-    n_orbits: int = 0
-    push: Push | None = None
-    certificate: OrbitCertificate | None = None
-    detail: str = ""
-    candidates: tuple[EventCandidate, ...] = ()
-    attempts: tuple[StartAttempt, ...] = ()
-    n_states: int = 0
-    method: SearchMethod = SearchMethod.SHOOTING
-    iterations: int = 0
-    remarks: tuple[str, ...] = ()
 
     @property
     def is_measured(self) -> bool:
@@ -320,6 +279,18 @@ class EventSearchResult:
             "iterations": self.iterations,
             "remarks": list(self.remarks),
         }
+
+
+class OrbitNotFoundError(ZenoOrbitsError):
+    """A search ended without an orbit.
+
+    Attributes:
+        result: The outcome.
+    """
+
+    def __init__(self, result: SearchResult) -> None:
+        super().__init__(f"{result.status.value} {result.detail}".strip())
+        self.result = result
 
 
 def _finite(value: float) -> float | None:

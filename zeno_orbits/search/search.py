@@ -6,12 +6,13 @@ import time
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Bound, EventSequence, Orbit
+from zeno_orbits.orbits import Bound, EventSequence, Orbit, asked_and_reached
 from zeno_orbits.search.objectives import NearestGains, Objective, TargetPeriod
 from zeno_orbits.search.outcome import (
     Accept,
@@ -155,13 +156,16 @@ def _ranked(
                 break
     n_states = 0
     if candidates and (search.settings.candidates > 1 or search.seeks_optimum):
-        candidates, n_states = _with_coexisting(search, candidates, accept)
+        candidates, n_states, best = _with_coexisting(search, candidates, best, accept)
     if best is None:
         raise InputError("Argument `settings` must allow a start.")
     ranked = tuple(sorted(candidates, key=lambda one: one.score))
-    return SearchResult(
+    begun = best.result or SearchResult(status=best.status, orbit=None)
+    return replace(
+        begun,
         status=best.status,
-        orbit=ranked[0].orbit if ranked else None,
+        **_of_best(search, ranked[0]) if ranked else {},
+        objective=search.objective,
         residuals=best.residuals,
         agreement=best.agreement,
         closure_error=best.closure_error,
@@ -179,12 +183,27 @@ def _ranked(
     )
 
 
-def _with_coexisting(
-    search: SearchProblem, candidates: list[Candidate], accept: Accept | None
-) -> tuple[list[Candidate], int]:
-    """Add candidates from other attractors. Also return the number of initial states.
+def _of_best(search: SearchProblem, best: Candidate) -> dict[str, Any]:
+    """Return the fields of a result that describe its best orbit."""
+    values = best.orbit.values(search.problem)
+    return {
+        "orbit": best.orbit,
+        "certificate": best.certificate,
+        "free": {name: values.number(name) for name in search.free},
+        "asked": tuple(asked_and_reached(search.bounds, best.extents)),
+    }
 
-    The attractors are computed at the values of the best candidate.
+
+def _with_coexisting(
+    search: SearchProblem,
+    candidates: list[Candidate],
+    outcome: StartOutcome | None,
+    accept: Accept | None,
+) -> tuple[list[Candidate], int, StartOutcome | None]:
+    """Add candidates from other attractors, at the values of the best candidate.
+
+    Returns:
+        The candidates, the number of initial states, and the outcome with the best candidate.
     """
     from zeno_orbits.search.starts.coexisting import N_STATES, coexisting_orbits
     from zeno_orbits.search.starts.start import try_orbit
@@ -194,10 +213,12 @@ def _with_coexisting(
     for found in coexisting_orbits(search, best):
         if any(has_last_event(search.problem, one.orbit, found) for one in candidates):
             continue
-        outcome = try_orbit(search, best.values(search.problem), found, accept)
-        if outcome.candidate is not None:
-            candidates = _joined(search, candidates, outcome.candidate)
-    return candidates, N_STATES
+        other = try_orbit(search, best.values(search.problem), found, accept)
+        if other.candidate is not None:
+            if other.candidate.score < min(one.score for one in candidates):
+                outcome = other
+            candidates = _joined(search, candidates, other.candidate)
+    return candidates, N_STATES, outcome
 
 
 def _has_start_of(search: SearchProblem, orbit: Orbit, other: Orbit) -> bool:

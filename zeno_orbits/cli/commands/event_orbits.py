@@ -117,7 +117,7 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
         objective = over_ranges(wish, objective, options.uncertain)
     place = place_of(options)
 
-    def work(checkpoint: Path | None, progress: report.ProgressLine) -> zo.EventSearchResult:
+    def work(checkpoint: Path | None, progress: report.ProgressLine) -> zo.SearchResult:
         return api.search_event_gains(
             options.problem,
             vary=free,
@@ -139,14 +139,14 @@ def _search_gains(options: argparse.Namespace, problem: zo.Problem, *, varies: b
             on_progress=progress,
         )
 
-    def finish(result: zo.EventSearchResult) -> int:
+    def finish(result: zo.SearchResult) -> int:
         return _answer(options, result, varies=bool(free))
 
     # With nothing free there is one start, which is done or not.
     return run_resumable(options, work, finish, keep=bool(free))
 
 
-def _answer(options: argparse.Namespace, result: zo.EventSearchResult, *, varies: bool) -> int:
+def _answer(options: argparse.Namespace, result: zo.SearchResult, *, varies: bool) -> int:
     """Print the result of a search, write its orbit, and return the exit code."""
     import zeno_orbits as zo
 
@@ -166,7 +166,7 @@ def _answer(options: argparse.Namespace, result: zo.EventSearchResult, *, varies
         print_json(orbit.as_json() | {"search": result.as_json()} | ranking(options, result) | told)
         return YES if passes else NO
     _print_orbit(options, orbit, certificate, passes=passes)
-    if result.candidates:
+    if options.candidates > 1:
         report.print_candidates(result)
     if varies:
         report.print_event_search(result)

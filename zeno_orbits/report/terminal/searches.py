@@ -13,8 +13,6 @@ from zeno_orbits.report.terminal.console import print_lines, print_table
 if TYPE_CHECKING:
     from zeno_orbits.search import (
         Candidate,
-        EventCandidate,
-        EventSearchResult,
         SearchResult,
         StartAttempt,
     )
@@ -47,15 +45,15 @@ def print_solver(result: SearchResult) -> None:
     )
 
 
-def print_candidates(result: SearchResult | EventSearchResult) -> None:
+def print_candidates(result: SearchResult) -> None:
     """Print the verified orbits, the best first."""
     freed = result.attempts[0].parameters
 
-    def numbers(one: Candidate | EventCandidate) -> str:
+    def numbers(one: Candidate) -> str:
         parameters = {name: one.orbit.parameters[name] for name in freed}
         return _listed({**one.orbit.gains, **parameters}, 5)
 
-    columns: list[Column[tuple[int, Candidate | EventCandidate]]] = [
+    columns: list[Column[tuple[int, Candidate]]] = [
         number_column("rank", lambda row: str(row[0])),
         number_column("score", lambda row: f"{row[1].score:.6g}"),
         number_column("period [s]", lambda row: f"{row[1].orbit.period:.8g}"),
@@ -65,7 +63,7 @@ def print_candidates(result: SearchResult | EventSearchResult) -> None:
     print_table(columns, enumerate(result.candidates, start=1))
 
 
-def _radius(one: Candidate | EventCandidate) -> float:
+def _radius(one: Candidate) -> float:
     return math.nan if one.certificate is None else one.certificate.spectral_radius
 
 
@@ -93,7 +91,7 @@ def objective_reached(
     return found
 
 
-def print_event_search(result: EventSearchResult) -> None:
+def print_event_search(result: SearchResult) -> None:
     """Print the end of a search over the gains of a machine with several stops or switches.
 
     Args:

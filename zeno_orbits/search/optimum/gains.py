@@ -61,11 +61,11 @@ from zeno_orbits.search.optimum.points import (
     OrbitsOverValues,
 )
 from zeno_orbits.search.optimum.strength import strongest
-from zeno_orbits.search.outcome import Accept, EventSearchResult
+from zeno_orbits.search.outcome import Accept, SearchResult
 from zeno_orbits.search.program.rounds import ProgramTask, orbit_by_program
 from zeno_orbits.search.program.terms import lacking_terms, signals_of
 from zeno_orbits.search.search_problem import listed
-from zeno_orbits.search.settings import SearchMethod
+from zeno_orbits.search.settings import SearchMethod, SearchStatus
 from zeno_orbits.simulation import Extent, SimulationSettings
 from zeno_orbits.work import Progress, silent
 
@@ -228,7 +228,7 @@ class BestOrbit:
         is_last: True if the orbit is the last one before the end of a family.
     """
 
-    result: EventSearchResult
+    result: SearchResult
     values: ParameterValues
     found: EventReturn
     violation: float
@@ -540,7 +540,7 @@ def _by_program(task: _Task, first: Sample) -> BestOrbit:
         if solved is None or reason:
             told = _told(task, first, solved or Optimum(trial=first, converged=False))
             detail = f"The program found no optimum: {reason.rstrip('.')}."
-            told = told.told(orbit=None, detail=detail)
+            told = told.told(orbit=None, status=SearchStatus.NOT_SOLVED, detail=detail)
         else:
             told = _told(task, first, solved)
         return told.told(method=SearchMethod.PROGRAM, iterations=iterations)
@@ -581,7 +581,7 @@ def _strongest(task: _Task, objective: MaxPush, first: Sample) -> BestOrbit:
     trial = task.from_path(best.values, best.found, section)
     told = _told(task, first, Optimum(trial=trial, converged=True))
     if not best.is_kept:
-        return told.told(orbit=None, detail=best.text)
+        return told.told(orbit=None, status=SearchStatus.NOT_SOLVED, detail=best.text)
     impulses = [one.impulse for one in best.pushes]
     return told.told(
         value=impulses[0],
@@ -666,7 +666,8 @@ def _told(task: _Task, first: Sample, best: Optimum) -> BestOrbit:
         detail = ending
         if not best.converged and not ending:
             detail = f"The search ended before it converged: {best.reason.rstrip('.')}."
-    result = EventSearchResult(
+    result = SearchResult(
+        status=SearchStatus.NOT_SOLVED if orbit is None else SearchStatus.FOUND,
         orbit=orbit,
         free=dict(zip(task.free, map(float, task.numbers(trial.u)), strict=True)),
         objective=objective,

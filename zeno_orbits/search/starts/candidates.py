@@ -7,7 +7,7 @@ orbit, at its values, and every other attractor is a further start.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,16 +17,16 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import EventReturn, Orbit, orbit_event_name
 from zeno_orbits.search.closing.closing import return_near
 from zeno_orbits.search.objectives import NearestGains, Objective
-from zeno_orbits.search.optimum.gains import GainSearch
+from zeno_orbits.search.optimum.gains import BestOrbit, GainSearch
 from zeno_orbits.search.outcome import (
     Accept,
-    EventCandidate,
-    EventSearchResult,
+    Candidate,
+    SearchResult,
     StartAttempt,
 )
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.starts.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close
-from zeno_orbits.simulation import state_before
+from zeno_orbits.simulation import Extent, state_before
 from zeno_orbits.work import from_plain, to_plain
 
 
@@ -36,11 +36,13 @@ class StartEnd:
 
     Attributes:
         result: The result, ``None`` if no orbit was found to search from.
+        extents: Name to range of the measured quantities of objective and bounds.
         objection: Reason why the check refuses its orbit. Empty if it does not.
         error: Why there is no result.
     """
 
-    result: EventSearchResult | None = None
+    result: SearchResult | None = None
+    extents: Mapping[str, Extent] = field(default_factory=dict[str, Extent])
     objection: str = ""
     error: ZenoOrbitsError | None = None
 
@@ -56,7 +58,37 @@ class StartEnd:
                 "state": list(getattr(error, "state", ())),
             }
         wished = result and replace(result, objective=NearestGains(target={}))
-        return {"result": to_plain(wished), "objection": self.objection, "error": to_plain(told)}
+        return {
+            "result": to_plain(wished),
+            "extents": to_plain(self.extents),
+            "objection": self.objection,
+            "error": to_plain(told),
+        }
+
+    def candidate(self) -> Candidate | None:
+        """Return the orbit with its rank, if there is one and the check accepts it."""
+        result = self.result
+        if result is None or result.orbit is None or self.objection:
+            return None
+        return Candidate(
+            orbit=result.orbit,
+            score=result.score,
+            extents=self.extents,
+            certificate=result.certificate,
+        )
+
+    def attempt(self, place: ParameterValues, free: Iterable[str]) -> StartAttempt:
+        """Return the start for the user.
+
+        Args:
+            place: Values of the start.
+            free: Names of the free values.
+        """
+        status, detail = SearchStatus.NO_GUESS, str(self.error or "")
+        if self.result is not None:
+            status, detail = self.result.status, self.objection or self.result.detail
+        parameters = {name: place.parameters[name] for name in free if name in place.parameters}
+        return StartAttempt(gains=place.gains, parameters=parameters, status=status, detail=detail)
 
     @classmethod
     def from_plain(cls, data: Mapping[str, Any], objective: Objective) -> StartEnd:
@@ -72,8 +104,9 @@ class StartEnd:
         if told is not None:
             state = tuple(map(float, told["state"]))
             return cls(error=SimulationError(told["reason"], time=float(told["time"]), state=state))
-        result = replace(from_plain(EventSearchResult, data["result"]), objective=objective)
-        return cls(result=result, objection=data["objection"])
+        result = replace(from_plain(SearchResult, data["result"]), objective=objective)
+        extents = from_plain(Mapping[str, Extent], data["extents"])
+        return cls(result=result, extents=extents, objection=data["objection"])
 
 
 def end_of_start(
@@ -87,21 +120,28 @@ def end_of_start(
         start: Its initial state, by default each start of the problem in turn.
     """
     try:
-        result = search.best(search.returned(place, start), place).result
+        best = search.best(search.returned(place, start), place)
     except ZenoOrbitsError as error:
         return StartEnd(error=error)
-    return _judged(result, search.accept)
+    return _judged(best, search.accept)
 
 
-def _judged(result: EventSearchResult, accept: Accept | None) -> StartEnd:
+def _judged(best: BestOrbit, accept: Accept | None) -> StartEnd:
     """Return a result with the certificate of its orbit, if there is a check."""
+    result = best.result
     if result.orbit is None or accept is None:
-        return StartEnd(result=result)
+        return StartEnd(result=result, extents=best.extents)
     judgement = accept(result.orbit)
     certificate = judgement.certificate
     if certificate is not None:
         certificate = replace(certificate, asked=result.asked)
-    return StartEnd(result=replace(result, certificate=certificate), objection=judgement.objection)
+    result = replace(
+        result,
+        status=SearchStatus.NOT_ACCEPTED if judgement.objection else result.status,
+        certificate=certificate,
+        repels=judgement.repels,
+    )
+    return StartEnd(result=result, extents=best.extents, objection=judgement.objection)
 
 
 def ranked_candidates(
@@ -111,7 +151,7 @@ def ranked_candidates(
     *,
     n_wanted: int,
     seed: int,
-) -> EventSearchResult:
+) -> SearchResult:
     """Return the best of several orbits, with the others as its candidates.
 
     Args:
@@ -151,14 +191,14 @@ class _Ranking:
 
     def __init__(self, search: GainSearch) -> None:
         self._search, self._problem, self._free = search, search.problem, tuple(search.free)
-        self._first: EventSearchResult | None = None
+        self._first: SearchResult | None = None
         self._trouble: ZenoOrbitsError | None = None
         self._attempts: list[StartAttempt] = []
         self._n_orbits = 0
-        self.found: list[tuple[EventSearchResult, EventCandidate]] = []
+        self.found: list[tuple[SearchResult, Candidate]] = []
 
     @property
-    def best(self) -> EventCandidate:
+    def best(self) -> Candidate:
         """The accepted orbit of the lowest score."""
         return min((one for _, one in self.found), key=lambda one: one.score)
 
@@ -169,15 +209,11 @@ class _Ranking:
             place: Values of the start.
             end: Its end.
         """
-        status, detail = SearchStatus.NO_GUESS, str(end.error or "")
         if end.result is None:
             self._trouble = end.error
         else:
-            status, detail = self._joined(end.result, end.objection)
-        free = {name: place.parameters[name] for name in self._free if name in place.parameters}
-        self._attempts.append(
-            StartAttempt(gains=place.gains, parameters=free, status=status, detail=detail)
-        )
+            self._join(end.result, end.candidate())
+        self._attempts.append(end.attempt(place, self._free))
 
     def add_attractor(self, values: ParameterValues, state: Mapping[str, float]) -> None:
         """Search from an attractor, and rank its orbit, unless it is a known one.
@@ -194,14 +230,14 @@ class _Ranking:
                 and has_last_event(self._problem, orbit, found)
                 for orbit in known
             ):
-                end = _judged(self._search.best(found, values).result, self._search.accept)
+                end = _judged(self._search.best(found, values), self._search.accept)
                 if end.result is not None:
-                    self._joined(end.result, end.objection)
+                    self._join(end.result, end.candidate())
         except ZenoOrbitsError:
             # The approximate attractor of a short simulation may be none.
             return
 
-    def result(self) -> EventSearchResult:
+    def result(self) -> SearchResult:
         """Return the best result with all candidates.
 
         Raises:
@@ -221,16 +257,13 @@ class _Ranking:
             n_orbits=self._n_orbits,
         )
 
-    def _joined(self, result: EventSearchResult, objection: str) -> tuple[SearchStatus, str]:
-        """Add the orbit of a result, if it is accepted, and return its status and the reason."""
+    def _join(self, result: SearchResult, new: Candidate | None) -> None:
+        """Add the orbit of a result, if it is accepted."""
         self._n_orbits += result.n_orbits
         if self._first is None:
             self._first = result
-        if result.orbit is None:
-            return SearchStatus.NOT_SOLVED, result.detail
-        if objection:
-            return SearchStatus.NOT_ACCEPTED, objection
-        new = EventCandidate(orbit=result.orbit, score=result.score, certificate=result.certificate)
+        if new is None:
+            return
         for k, (known, one) in enumerate(self.found):
             if self._is_same(result, new, one):
                 better = (result, new) if new.score < one.score else (known, one)
@@ -239,11 +272,8 @@ class _Ranking:
                 break
         else:
             self.found.append((result, new))
-        return SearchStatus.FOUND, result.detail
 
-    def _is_same(
-        self, result: EventSearchResult, one: EventCandidate, other: EventCandidate
-    ) -> bool:
+    def _is_same(self, result: SearchResult, one: Candidate, other: Candidate) -> bool:
         """Return True if two candidates are one orbit, at nearly the same values.
 
         Attractors may coexist at the same values with the same period and score. So the first orbit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from zeno_orbits.errors import InputError
@@ -76,7 +77,7 @@ def try_start(search: SearchProblem, number: int, accept: Accept | None) -> Star
     elif judgement is not None and judgement.objection and reached.is_last and search.free:
         outcome = _before(search, start, accept, name, outcome, reached)
     numbers = {name: start.values.number(name) for name in search.free}
-    return replace(outcome, solution=None, start=numbers)
+    return _ended(outcome, numbers)
 
 
 def try_orbit(
@@ -94,7 +95,17 @@ def try_orbit(
     wanted = search if search.seeks_optimum else replace(search, free={})
     outcome, _ = _judged(search, from_orbit(wanted, values, found), accept, name)
     numbers = {free: values.number(free) for free in search.free}
-    return replace(outcome, solution=None, start=numbers)
+    return _ended(outcome, numbers)
+
+
+def _ended(outcome: StartOutcome, numbers: Mapping[str, float]) -> StartOutcome:
+    """Return the outcome of a start for another process: without the simulated orbit."""
+    solution = outcome.solution
+    result = None
+    if solution is not None:
+        # The search knows its objective, and the candidate has the orbit.
+        result = replace(solution.result, orbit=None, objective=NearestGains(target={}))
+    return replace(outcome, solution=None, start=numbers, result=result)
 
 
 def _judged(
@@ -118,7 +129,7 @@ def _judged(
             repels=judgement.repels,
         )
         return refused, judgement
-    objective, score = search.objective, solution.score
+    objective, score = search.objective, solution.result.score
     if search.free and not objective.is_measured:
         score = search.score(solution.values, extents)
     candidate = Candidate(

@@ -210,7 +210,7 @@ def _compared(search: SearchProblem, best: BestOrbit) -> StartOutcome:
         found=found,
         orbit=orbit,
         extents=best.extents,
-        score=best.result.score,
+        result=best.result,
     )
     return _found(seen, solution, settings.agreement)
 
