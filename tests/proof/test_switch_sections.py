@@ -298,3 +298,38 @@ def test_the_wheel_is_proved_over_slopes_that_move_its_section() -> None:
         assert rates.misses(math.sqrt(fall / (1 - switched.LEFT**2))) < 1e-15
     assert rates.width < 1e-7
     assert check_proof(dict(proof.certificate), problem).ok
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rests", "place", "radius", "reason"),
+    [
+        (False, 1, "0x3p-1", "a gap may be closed before the switch"),
+        (False, 0, "0x3p-2", "switch 1 may be zero"),
+        (True, 0, "0x5p-2", "the stop may not be under pressure before the switch"),
+    ],
+)
+def test_states_that_are_not_just_before_the_switch_are_refused(
+    rests: bool, place: int, radius: str, reason: str
+) -> None:
+    # The switch sends every place and height to a state over the table, under pressure, and right
+    # of the kink. So the period and the return from these boxes are sound, but they hold states
+    # inside the table, left of the kink, or pulled by it.
+    problem = switched.returned_block(rests=rests)
+    proof = _proof(problem)
+    assert check_proof(dict(proof.certificate), problem).ok
+    false = copy.deepcopy(dict(proof.certificate))
+    false["passes"][0]["box"]["radius"][place] = radius
+    false["passes"] = false["passes"][:1]
+    false["claims"] = [{"name": "exists", "pass": 0, "by": "inclusion"}]
+    told = check_proof(false, problem).verdict()
+    assert told.startswith(f"Not proved: `motion 0`: section: {reason}")
+
+
+@pytest.mark.slow
+def test_a_box_that_reaches_into_a_stop_before_the_switch_is_not_proved() -> None:
+    problem = switched.returned_block(rests=False)
+    orbit = zo.find_event_orbit(problem)
+    assert zo.prove(orbit, problem=problem, radius=0.5).proved
+    found = zo.prove(orbit, problem=problem, radius=1.5)
+    assert found.verdict().startswith("Not proved: `section`: a gap is not proved positive just")

@@ -238,3 +238,48 @@ def two_blocks() -> Problem:
         portraits=(("left", "left_speed"),),
         amplitude_of="left",
     )
+
+
+def returned_block(*, rests: bool) -> Problem:
+    """Return a block that slides along a table and that a switch of the clock sends back.
+
+    It flies over the table without gravity, or rests on it. A place that is far to the left pulls
+    the resting block up.
+    """
+
+    def model(p: Mapping[str, Any]) -> CompletedSystem:
+        q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        clock = zo.Clock.at(p["omega"])
+        down = -(1.0 + q[0]) if rests else ca.SX(0)
+        block = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.dot(v, v) / 2,
+            potential=ca.SX(0),
+            applied_force=ca.vertcat(0.001 * ca.fabs(q[0] + 0.5), down),
+            clock=clock,
+            stops=(zo.Stop(name="table", gap=q[1], restitution=0.3),),
+        )
+        height = q[1] if rests else 1 + 0.1 * q[1]
+        back = zo.Switch(
+            name="back",
+            guard=clock.cosine,
+            armed=clock.sine,
+            q_after=ca.vertcat(0.1 * q[0], height),
+            v_after=ca.vertcat(0.1 * v[0], v[1] if rests else 0.1 * v[1]),
+        )
+        return zo.hybrid_system(block, zo.no_drive(block), switches=(back,))
+
+    return Problem(
+        name="returned_block",
+        title="block that is sent back",
+        source="closed form",
+        state_names=("place", "height", "place_speed", "height_speed", "cosine", "sine"),
+        state_units=("m", "m", "m/s", "m/s", "1", "1"),
+        parameters=(zo.Quantity.positive("omega", 3.0, "rad/s", "clock"),),
+        gains=(),
+        model=model,
+        starts=({"height": 0.0 if rests else 1.0, "cosine": 1.0},),
+        portraits=(("place", "place_speed"),),
+        amplitude_of="place",
+    )

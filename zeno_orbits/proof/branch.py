@@ -207,7 +207,7 @@ class _Branch:
             value=self.own, state=state, slope=(0.0,) * len(state), period=orbit.period
         )
         found = self.task.point(self.own, known)
-        sizes = problem.dynamics(orbit.values(problem)).own.states(len(state))
+        sizes = problem.system(orbit.values(problem)).own.states(len(state))
         for a, b, size in zip(found.state, state, sizes, strict=True):
             if abs(a - b) > _CLOSE * max(size, abs(b)):
                 raise ProofError("closure", "the motion from the orbit's start does not return")

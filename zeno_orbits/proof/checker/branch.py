@@ -179,7 +179,7 @@ def _boxes(
     except NotProved as failure:
         raise InputError(f"The certificate's problem cannot be proved: {failure}.") from failure
     system = machine.first
-    section = ContactSection.of(system, common["section"])
+    section = ContactSection.of(system, common["section"], machine.names)
     bits = system.bits
     boxes = [
         Box.of(
@@ -285,7 +285,7 @@ class _RangeTask:
 def _proved_range(problem: Problem, data: Mapping[str, Any]) -> _Range:
     """Return the proved motion of a range, and its claims."""
     machine, over, _ = read_machine(data, problem)
-    section = ContactSection.of(machine.first, data["section"])
+    section = ContactSection.of(machine.first, data["section"], machine.names)
     box, start, records = entries(data["passes"][0], "box", "start", "records")
     passage = passage_of(
         machine,

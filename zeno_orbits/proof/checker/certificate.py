@@ -32,7 +32,7 @@ from zeno_orbits.proof.checker.machine import (
     Machine,
     bound_machine,
     read_sides,
-    require_falling,
+    require_before,
     require_reset,
     require_sides,
 )
@@ -283,7 +283,7 @@ def passage_of(
         require_start(system, section, box, first)
         if section.switch >= 0:
             mode = "locked" if section.settled else "free"
-            require_falling(system, first.hull, section.switch, mode)
+            require_before(system, first.hull, section.switch, mode)
     except NotProved as failure:
         raise NotProved(f"section: {failure}") from failure
     back = last.hull[section.others] - box.others

@@ -188,8 +188,11 @@ def require_reset(system: System, box: Array, switch: int, mode: str) -> None:
         require(held or box[k].low > 0, f"a gap may be closed after a reset: {box[k].shown()}")
 
 
-def require_falling(system: System, box: Array, switch: int, mode: str) -> None:
-    """Check that a switch is met by all states of its section: its guard falls, and it is armed.
+def require_before(system: System, box: Array, switch: int, mode: str) -> None:
+    """Check that all states of a section are just before its switch, in its mode and on its sides.
+
+    The guard of the switch falls, and it is armed. All gaps are positive, except that of a closed
+    stop, which is under pressure. No other guard is zero, and the kinks are on their sides.
 
     Args:
         system: The system of the section.
@@ -202,6 +205,15 @@ def require_falling(system: System, box: Array, switch: int, mode: str) -> None:
     if switch < system.n_declared:
         armed = system.value("armed", box)[switch]
         require(armed.low > 0, f"the switch of the section may not be armed: {armed.shown()}")
+    system.require_defined(box)
+    held = {system.gap_row} if mode == "locked" else set[int]()
+    for k in {system.gap_row, *system.gap_rows} - held:
+        gap = system.gap(box) if k == system.gap_row else box[k]
+        require(gap.low > 0, f"a gap may be closed before the switch: {gap.shown()}")
+    if held:
+        pull = system.value("acceleration", box)[0]
+        require(pull.high < 0, "the stop may not be under pressure before the switch")
+    require_sides(system, box, switch)
 
 
 def require_sides(system: System, box: Array, crossed: int = -1) -> None:

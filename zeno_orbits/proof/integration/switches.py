@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from zeno_orbits.errors import ProofError
-from zeno_orbits.proof.arithmetic.balls import Ball, product
+from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, product
 from zeno_orbits.proof.integration.ball_system import require_proved
 from zeno_orbits.proof.integration.events import is_clear
 from zeno_orbits.proof.integration.machine import BallMachine
@@ -25,6 +25,38 @@ _MODES = {
     Departure.STRUCK: "thrown",
 }
 """Mode after a switch, in the words of the certificate."""
+
+
+def require_before(machine: BallMachine, stage: ProofStage, switch: int) -> None:
+    """Raise an error unless all states of a set are just before a switch, as its section says.
+
+    The guard of the switch falls, and it is armed. All gaps are positive, except that of a closed
+    stop, which is under pressure. No other guard is zero, and the kinks are on their sides.
+
+    Args:
+        machine: The problem.
+        stage: The set on the section.
+        switch: Index of the switch.
+
+    Raises:
+        ProofError: If this is not proved.
+    """
+    system, box = machine.view(stage.stop, stage.sides), stage.at.box
+    locked, declared = stage.departure is Departure.LOCKED, machine.n_declared
+    flow, guards = system.locked if locked else system.free, system.guards(box)
+    gradient, speeds = guards[switch][1], flow.rate(box)
+    slope = sum((g * f for g, f in zip(gradient, speeds, strict=True)), ZERO)
+    met = is_clear(-slope) and (switch >= declared or is_clear(system.armed(box)[switch]))
+    require_proved(met, "section", "the switch of the section is not proved to be met from the box")
+    for view in machine.views(stage.sides):
+        apart = (locked and view.gap == system.gap) or is_clear(box[view.gap])
+        require_proved(apart, "section", "a gap is not proved positive just before the switch")
+    pressed = not locked or is_clear(flow.guard(box)[0])
+    require_proved(pressed, "section", "the stop is not proved to press just before the switch")
+    for k, (value, _) in enumerate(guards):
+        sound = k == switch or is_clear(value) or (k < declared and is_clear(-value))
+        reason = f"`{machine.switch_names[k]}` is not proved to differ from zero just before it"
+        require_proved(sound, "section", reason)
 
 
 def pass_switch(

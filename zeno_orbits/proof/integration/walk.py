@@ -37,7 +37,7 @@ from zeno_orbits.proof.integration.sets import (
     ProofStage,
     balanced,
 )
-from zeno_orbits.proof.integration.switches import pass_switch
+from zeno_orbits.proof.integration.switches import pass_switch, require_before
 
 _EVERY = 500
 """Number of steps after which the number that a period needs is estimated."""
@@ -201,6 +201,7 @@ def walk(
     """
     way = _Way(machine=machine, settings=settings, tell=tell, stage=start, count=count)
     if machine.section.kind is SectionKind.SWITCH:
+        require_before(machine, start, machine.section.switch)
         way.switch(machine.section.switch)
     while way.n_returns < count:
         try:
