@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import zeno_orbits as zo
-from tests.support import hard_to_prove
+from tests.support import hard_to_prove, switched
 from tests.support.commands import MISUSE, NO, YES, ask
 from zeno_orbits.errors import InputError
 from zeno_orbits.work import ExecutionPlan, Workers
@@ -212,6 +212,90 @@ def test_ranges_of_two_orbits_are_not_joined_into_one_branch(
     assert verdict.conclusions() == []
 
 
+@pytest.fixture(scope="module")
+def wheel() -> zo.BranchProof:
+    """Return the branch of the rolling motion of a wheel without a rim, in the slope."""
+    problem = switched.rimless_wheel()
+    orbit = zo.find_event_orbit(problem)
+    return zo.prove_branch(orbit, ("slope", 0.08, 0.080012), problem=problem)
+
+
+def test_a_branch_from_just_before_a_switch_holds_the_orbits_of_the_closed_form(
+    wheel: zo.BranchProof,
+) -> None:
+    # As for the single orbit: gravity restores the energy that a strike takes.
+    assert wheel.complete, wheel.verdict()
+    certificate = json.loads(json.dumps(dict(wheel.certificate)))
+    (place,) = certificate["section"]["places"]
+    for one in certificate["ranges"]:
+        box = one["pass"]["box"]
+        sides = {place: (box["centre"][0], box["radius"][0])}
+        sides[1 - place] = (box["others"]["centre"][0], box["others"]["radius"][0])
+        for slope in map(float, _ends(one)):
+            last = slope + switched.HALF
+            fall = 2 * switched.GRAVITY * (math.cos(last - 2 * switched.HALF) - math.cos(last))
+            truth = (last, math.sqrt(fall / (1 - switched.LEFT**2)))
+            for k, (m, r) in sides.items():
+                assert abs(Fraction(truth[k]) - _number(m)) < _number(r)
+    verdict = zo.check_branch(certificate, problem=switched.rimless_wheel())
+    assert verdict.ok, verdict.verdict()
+    told = "\n".join(verdict.lines())
+    assert "Section: the states just before the switch `strike`" in told
+    assert "Events in order: switch strike." in told
+
+
+def _strike(c: Certificate) -> Any:
+    return c["ranges"][-1]["pass"]["records"][0]
+
+
+def _another_return(c: Certificate) -> None:
+    """Follow the wheel over two strikes in the last range."""
+    one = c["ranges"][-1]["pass"]
+    again = copy.deepcopy(one["records"])
+    one["records"] += again
+
+
+FALSE: dict[str, Callable[[Certificate], Any]] = {
+    "passes of another range": lambda c: c["ranges"][0].update(
+        {"pass": copy.deepcopy(c["ranges"][-1]["pass"])}
+    ),
+    "values of another range": lambda c: c["ranges"][-1].update(
+        value=c["ranges"][0]["value"], radius=c["ranges"][-1]["radius"]
+    ),
+    "a range that is moved by its width": lambda c: c.update(
+        ranges=[c["ranges"][0] | {"value": c["ranges"][1]["value"]}]
+    ),
+    "no strike": lambda c: c["ranges"][-1]["pass"]["records"].pop(0),
+    "a wheel that is held": lambda c: _strike(c).update(mode="locked"),
+    "a guard that stays zero": lambda c: _strike(c).update(kept=1),
+    "two turns in one range": _another_return,
+    "another switch": lambda c: c["section"].update(switch=1),
+    "releases": lambda c: c["section"].update(conditions=["gap", "gap_rate", "multiplier"]),
+    "a negative range": lambda c: c["ranges"][-1].update(
+        radius="-" + c["ranges"][-1]["radius"].removeprefix("-")
+    ),
+    "no ranges": lambda c: c.update(ranges=[]),
+    "a repelling wheel": lambda c: [
+        claim.update(name="repelling")
+        for claim in c["ranges"][-1]["claims"]
+        if claim["name"] == "stable"
+    ],
+    "the parameter is another one": lambda c: c.update(branch="mass"),
+}
+
+
+@pytest.mark.parametrize("name", FALSE)
+def test_no_false_branch_of_a_walker_is_accepted(wheel: zo.BranchProof, name: str) -> None:
+    false = json.loads(json.dumps(dict(wheel.certificate)))
+    false["ranges"] = false["ranges"][:2]
+    FALSE[name](false)
+    try:
+        found = zo.check_branch(false, problem=switched.rimless_wheel()).conclusions()
+    except InputError:
+        found = []
+    assert found == []
+
+
 def test_an_interrupted_proof_continues_with_its_finished_parts(
     orbit: zo.Orbit, tmp_path: Path
 ) -> None:
@@ -233,6 +317,17 @@ def test_an_interrupted_proof_continues_with_its_finished_parts(
     assert found.complete
     assert kept[0].stat().st_mtime_ns == stamp
     assert found.certificate == zo.prove_branch(orbit, interval).certificate
+
+
+def test_finished_parts_of_another_restitution_are_not_taken(
+    orbit: zo.Orbit, tmp_path: Path
+) -> None:
+    # Both orbits have the same releases and period, so the points of their branches are equal.
+    plan = ExecutionPlan(place=Workers(count=1), checkpoint=tmp_path / "parts")
+    assert zo.prove_branch(orbit, ("A", 0.9999, 1.0001), plan=plan).complete
+    other = zo.find_orbit_by_shooting("forced_oscillator", parameters={"restitution": 0.3}).unwrap()
+    with pytest.raises(InputError, match="its `values"):
+        zo.prove_branch(other, ("A", 0.9999, 1.0001), plan=plan)
 
 
 def test_the_command_proves_a_branch_and_checks_its_file(orbit: zo.Orbit, tmp_path: Path) -> None:

@@ -413,3 +413,11 @@ def test_a_gap_with_a_hole_in_the_way_is_refused_by_the_checker() -> None:
     certificate = dict(zo.prove(orbit).certificate)
     assert check_proof(certificate).ok
     assert "a divisor may be zero" in _refusal(*_of(certificate, _with_a_hole))
+
+
+def test_a_restitution_of_zero_that_varies_is_refused(zeno: Certificate) -> None:
+    # Even without a width: the words of the theorem depend on whether impacts are plastic.
+    given = {**zeno["parameters"], "restitution": "0x0p+0"}
+    false = {**zeno, "parameters": given, "over": {"restitution": "0x0p+0"}}
+    with pytest.raises(InputError, match="restitution must be 0, or between 0 and 1"):
+        check_proof(false)

@@ -22,7 +22,11 @@ Certificate = dict[str, Any]
 
 
 def _proof(problem: Problem) -> Proof:
-    found = zo.prove(zo.find_event_orbit(problem), problem=problem)
+    return _proof_of(problem)
+
+
+def _proof_of(problem: Problem, **parameters: float) -> Proof:
+    found = zo.prove(zo.find_event_orbit(problem, parameters=parameters), problem=problem)
     assert found.proved, found.verdict()
     return found
 
@@ -333,3 +337,23 @@ def test_a_box_that_reaches_into_a_stop_before_the_switch_is_not_proved() -> Non
     assert zo.prove(orbit, problem=problem, radius=0.5).proved
     found = zo.prove(orbit, problem=problem, radius=1.5)
     assert found.verdict().startswith("Not proved: `section`: a gap is not proved positive just")
+
+
+@pytest.mark.slow
+def test_a_plastic_stop_that_is_left_with_a_speed_has_no_zeno_point() -> None:
+    # Lemma 10 holds for e = 0 as well, but its single impact is no Zeno point.
+    problem = switched.thrown_block()
+    proof = _proof_of(problem, restitution=0.0)
+    assert proof.events == ("switch throw with release of table", "plastic impact on table")
+    certificate = dict(proof.certificate)
+    told = check_proof(certificate, problem).verdict()
+    assert told.startswith("Proved: a periodic orbit with plastic impacts")
+    false = copy.deepcopy(certificate)
+    for one in false["passes"]:
+        records = one["records"]
+        k = next(j for j, record in enumerate(records) if record["kind"] == "impact")
+        n = len(records[k]["set"]["m"]) - 2
+        tail = {"kind": "tail", "set": records[k]["set"], "radius": ["0x1p+0"] * n}
+        records[1 : k + 1] = [tail | {"speed": "0x5p+0"}]
+    with pytest.raises(InputError, match="record 1 must be"):
+        check_proof(false, problem)

@@ -267,6 +267,9 @@ class _Branch:
         else:
             identity = {"work": "branch", "problem": task.problem.name, "name": task.name}
             identity |= {"box": list(self.box), "digest": file.digest if file else ""}
+            numbers = task.given.orbit.values(task.problem).vector
+            identity |= {"values": [float(x).hex() for x in numbers]}
+            identity |= {"settings": asdict(task.settings)}
             plan = replace(self.plan or ExecutionPlan(), chunk=1, noun="parts", identity=identity)
             found = list(parallel_map(job, parts, plan, on_progress=tell))
         return [

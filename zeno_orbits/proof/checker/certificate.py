@@ -220,11 +220,11 @@ def read_machine(
             wanted = f"must be inside its range, {quantity.lower:g} to {quantity.upper:g}"
             raise InputError(f"The certificate's `{quantity.name}` {wanted}.")
     machine = bound_machine(data, problem, numbers, over)
-    for system in machine.systems.values():
+    for view, system in machine.systems.items():
         z = system.nothing
         z[system.varied] = [ranges[name] for name in over]
         e = system.value("law", z)[0]
-        if e.low < 0 or e.high >= 1 << bits or (e.low == 0 < e.high):
+        if e.low < 0 or e.high >= 1 << bits or (e.low == 0 and not machine.is_plastic(view)):
             raise InputError("The certificate's restitution must be 0, or between 0 and 1.")
     theorem = Theorem(
         problem=problem.name,
@@ -348,7 +348,8 @@ def _stations(
         kind = record["kind"]
         further = _FURTHER.get(kind, ()) if machine.is_graph else ()
         possible = {"impact"} if here.mode == "closed" else {"step", "cross"}
-        if here.mode == "free" and here.began == "impact":
+        # A plastic stop is met once, so impacts on it do not accumulate.
+        if here.mode == "free" and here.began == "impact" and not machine.is_plastic(here.view):
             possible.add("tail")
         if here.switch >= 0:
             possible = {"switch"}

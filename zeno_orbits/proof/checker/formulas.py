@@ -285,7 +285,9 @@ def walked(function: ca.Function, graph: Graph, inputs: Sequence[Sequence[int]])
         elif name in table:
             work[gives[0]] = table[name](*(work[place] for place in takes))
         else:
-            work[gives[0]] = graph.put("unknown", name.lower(), *(work[place] for place in takes))
+            # A table is a call with several results.
+            known = (work[place] for place in takes if place in work)
+            work |= dict.fromkeys(gives, graph.put("unknown", name.lower(), *known))
     return outputs
 
 
