@@ -322,7 +322,7 @@ def test_an_interrupted_proof_continues_with_its_finished_parts(
 def test_finished_parts_of_another_restitution_are_not_taken(
     orbit: zo.Orbit, tmp_path: Path
 ) -> None:
-    # Both orbits have the same releases and period, so the points of their branches are equal.
+    # Both orbits have the same release and period, which the points of a branch hold.
     plan = ExecutionPlan(place=Workers(count=1), checkpoint=tmp_path / "parts")
     assert zo.prove_branch(orbit, ("A", 0.9999, 1.0001), plan=plan).complete
     other = zo.find_orbit_by_shooting("forced_oscillator", parameters={"restitution": 0.3}).unwrap()

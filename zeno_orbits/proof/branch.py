@@ -237,7 +237,7 @@ class _Branch:
     def _first_ranges(self, start: BranchPoint) -> tuple[float, float]:
         """Return the length of ranges near the orbit, and the time of one [s]."""
         end = self.box[1] if self.own < self.box[1] else self.box[0]
-        began, length, count = clock.perf_counter(), 0.0, 0
+        began, length, count = clock.process_time(), 0.0, 0
         first = _FIRST * (self.box[1] - self.box[0])
         for one in _ranges(self.task, start, end, first):
             if isinstance(one, str):
@@ -245,7 +245,7 @@ class _Branch:
             length, count = max(length, float(one.high - one.low)), count + 1
             if count == _TRIALS:
                 break
-        return length, (clock.perf_counter() - began) / count
+        return length, (clock.process_time() - began) / count
 
     def _covered(self, parts: Sequence[Mapping[str, Any]]) -> list[tuple[list[Range], str]]:
         """Return the ranges of each part, and why they end before the part."""
