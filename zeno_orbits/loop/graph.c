@@ -260,6 +260,32 @@ static double lost_by_rounding(double rate, const zl_settings *settings) {
     return LOST * (rate * rate / settings->gap_acceleration);
 }
 
+/* Whether a stop was struck or opened at the start, so that its gap is zero. */
+static int is_met(const zl_run *run, int stop) {
+    return run->graph.met_times[stop] == run->start.time;
+}
+
+/* The rounding of a gap: of its states, and what an event left at the stop. */
+static double rounding_of_gap(Graph *g, int stop, const double *x) {
+    const double left = LEFT_GAP * fabs(g->m.run->graph.met_gaps[stop]);
+    double moved[ZL_MOST], gap[2], other[2], sum = 0.0;
+    long long k;
+    gap_of(g, stop, x, gap);
+    memcpy(moved, x, (size_t)g->whole->n_x * sizeof(double));
+    for (k = 0; k < g->whole->n_x; k++) {
+        moved[k] += ROUNDING * x[k];
+        gap_of(g, stop, moved, other);
+        sum += fabs(other[0] - gap[0]);
+        moved[k] = x[k];
+    }
+    return greater(sum, left);
+}
+
+/* Whether a flight at a state has left its gap of zero. */
+static int is_under_way(const zl_run *run, const double *gap) {
+    return gap[0] > 0.0 && fabs(gap[1]) > run->small_rate;
+}
+
 /* Take all guards at the start of an arc; 0 unless each is above its rounding, or a switch on zero. */
 static int take_guards(Graph *g) {
     zl_run *run = g->m.run;
@@ -273,6 +299,7 @@ static int take_guards(Graph *g) {
         const double contact = settings->contact;
         Watched *watched = &run->watched[k];
         double value;
+        int has_left = 0;
         pair_in_leg(&g->m, k, run->leg.y, watched->before);
         value = watched->before[0];
         watched->largest_change = watched->launched = 0.0;
@@ -281,24 +308,32 @@ static int take_guards(Graph *g) {
             watched->rounding = contact * settings->multiplier;
         } else if (other->kind == ZL_IMPACT) {
             double gap[2], lost;
+            const int in_turns = come_in_turn(&run->graph);
+            int moves;
             gap_of(g, other->index, run->start.state, gap);
             value = gap[0];
             watched->rounding = contact * settings->gap;
             lost = lost_by_rounding(gap[1], settings);
-            if (come_in_turn(&run->graph) && value > lost) {
+            moves = fabs(gap[1]) > contact * settings->gap_rate;
+            if (in_turns && value > lost) {
                 /* Its flight is under way: to launch it again would take its height from it. */
                 watched->rounding = lesser(watched->rounding, lost);
-            } else if (value <= watched->rounding && gap[1] > contact * settings->gap_rate) {
+            } else if (value <= watched->rounding && moves && gap[1] > 0.0 &&
+                       (in_turns || is_met(run, other->index) ||
+                        value <= rounding_of_gap(g, other->index, run->start.state))) {
                 watched->launched = gap[1];
                 watched->rounding = contact / settings->gap_acceleration;
                 is_clear = 0;
+            } else if (value > 0.0 && moves) {
+                has_left = 1;
             }
         } else {
             watched->rounding = levels[other->index];
             value = other->sign * formulas[other->index];
             if (isnan(value) && run->graph.undefined < 0) run->graph.undefined = other->index;
         }
-        watched->on_guard = watched->launched > 0.0 || value <= watched->rounding;
+        watched->on_guard =
+            watched->launched > 0.0 || (value <= watched->rounding && !has_left);
         watched->began_on_guard = watched->on_guard;
         if (other->kind == ZL_SWITCH && watched->on_guard ? !(value >= -watched->rounding)
                                                           : !(value > watched->rounding))
@@ -382,7 +417,7 @@ static int launch(Graph *g) {
     case FREE_ARC:
         evaluate_at(&g->m, ZL_GAP, x, gap);
         status = start_leg_at(&g->m, ZL_FREE, 1.0, 1.0, contact * settings->gap, settings->absolute,
-                              gap[0] <= run->small_gap, graph->limit);
+                              gap[0] <= run->small_gap && !is_under_way(run, gap), graph->limit);
         break;
     case FLIGHT_ARC:
         if (run->start.height > 0.0) run->start.lift = number_at(&g->m, ZL_LIFT, x);
@@ -440,6 +475,13 @@ static int step_failed_at(Graph *g, int status) {
 /* Whether a guard falls through zero here, to rounding. */
 static int is_zero(const Graph *g, const double *pair, double rounding) {
     return pair[1] < 0.0 && pair[0] <= greater(rounding, -pair[1] * APART * g->m.run->settings.time);
+}
+
+/* Whether a gap falls through zero at a state, to its rounding. */
+static int closes(Graph *g, int stop, const double *gap, const double *x) {
+    const zl_settings *settings = settings_of(g, stop);
+    if (gap[0] > settings->contact * settings->gap) return is_zero(g, gap, 0.0);
+    return gap[1] < 0.0 && is_zero(g, gap, rounding_of_gap(g, stop, x));
 }
 
 /* Whether the surfaces of two kinks touch along closed stops. */
@@ -582,7 +624,7 @@ static int is_scaled(const Graph *g) {
 }
 
 /* Whether the guard of the stop that the run looks at falls through zero at the end of an arc. */
-static int main_is_zero(const Graph *g, int main, const double *x) {
+static int main_is_zero(Graph *g, int main, const double *x) {
     const zl_run *run = g->m.run;
     double pair[2];
     if (is_scaled(g)) {
@@ -599,7 +641,7 @@ static int main_is_zero(const Graph *g, int main, const double *x) {
         return is_zero(g, pair, run->settings.contact * run->settings.multiplier);
     }
     evaluate_at(&g->m, ZL_GAP, x, pair);
-    return is_zero(g, pair, run->small_gap);
+    return closes(g, focus_of(g), pair, x);
 }
 
 /* Whether stops open on the other side of a kink as well, which falls with them. The flow does not
@@ -718,7 +760,9 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
                 gap_of(g, other->index, x, pair);
             else
                 tape_run(other->value, other->registers, x, pair);
-            if (!is_zero(g, pair, watched->rounding)) continue;
+            if (!(other->kind == ZL_IMPACT ? closes(g, other->index, pair, x)
+                                           : is_zero(g, pair, watched->rounding)))
+                continue;
             if (other->kind == ZL_IMPACT && !is_resolved(g, pair)) return in_turn(&g->m, time, x);
         }
         if (other && !occurs(g, other->kind, other->index, x)) continue;
@@ -1173,7 +1217,10 @@ static int are_opened(Graph *g, long long stops, double time, const double *x) {
     int k;
     for (k = 0; k < g->whole->graph->n_stops; k++)
         if (stops & BIT(k)) {
+            double gap[2];
             write_event_of(&g->m, ZL_RELEASE, k, time, none, x, x);
+            gap_of(g, k, x, gap);
+            run->graph.met_gaps[k] = gap[0];
             run->n_releases++;
         }
     if (!stops || (double)run->n_releases < run->settings.most_releases) return 0;
@@ -1407,8 +1454,7 @@ static int strike_again(Graph *g, double time) {
         const zl_settings *settings = settings_of(g, k);
         if ((closed | BIT(run->graph.focus)) & BIT(k)) continue;
         gap_of(g, k, x, gap);
-        if (!(gap[1] < -settings->contact * settings->gap_rate &&
-              is_zero(g, gap, settings->contact * settings->gap)))
+        if (!(gap[1] < -settings->contact * settings->gap_rate && closes(g, k, gap, x)))
             continue;
         status = require_apart(g, BIT(run->graph.focus) | BIT(k), closed, time, x);
         if (status != GO_ON) return status;
@@ -1658,6 +1704,17 @@ static int meet_at(Graph *g, double time, const double *x, double rate) {
     return GO_ON;
 }
 
+/* Whether a flight begins on its stop now, and is not under way. A gap above its rounding belongs to
+   the flight, unless an event has just closed it. */
+static int is_left(Graph *g, const double *x, const double *gap, long long was_closed, int flying) {
+    const zl_run *run = g->m.run;
+    const int stop = focus_of(g), is_first = was_closed == FIRST_STATE;
+    if (!(gap[0] <= run->small_gap && gap[1] > run->small_rate)) return 0;
+    if ((!is_first && was_closed & BIT(stop)) || is_met(run, stop)) return 1;
+    if (is_first && gap[0] <= gap[1] * APART * run->settings.time) return 1;
+    return stop != flying && gap[0] <= rounding_of_gap(g, stop, x);
+}
+
 /* The start at a state: each stop with zero gap and rate holds, or opens. A flight goes on with its
    scaled gap and rate, if they are given. */
 static int placed(Graph *g, double time, const double *state, long long was_closed, int by_switch,
@@ -1679,12 +1736,17 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
         const double small = has_others(&g->m) ? below : contact;
         /* An open gap of a first state is as exact as its user gives it. */
         const double apart = is_first ? contact : small;
+        const int is_given = is_first || (was_closed & BIT(k));
         int is_on, falls;
         if (scaled && k == flying) continue;
         gap_of(g, k, x, gap);
         is_on = gap[0] >= -below * settings->gap;
         falls = gap[1] < -small * settings->gap_rate;
         if (gap[0] > apart * settings->gap || (k == flying && !(is_on && falls))) continue;
+        /* A gap above its rounding belongs to a flight, unless the stop was closed. */
+        if (!is_given && fabs(gap[1]) > small * settings->gap_rate &&
+            gap[0] > rounding_of_gap(g, k, x) && !closes(g, k, gap, x))
+            continue;
         if (is_on && fabs(gap[1]) <= small * settings->gap_rate)
             still |= BIT(k);
         else if (is_on && gap[1] > 0.0)
@@ -1737,7 +1799,7 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
         run->start.height = scaled[0];
         run->start.launch = scaled[1];
         run->start.has_speed = 1;
-    } else if (gap[0] <= run->small_gap && gap[1] > run->small_rate) {
+    } else if (is_left(g, x, gap, was_closed, flying)) {
         run->start.speed = gap[1];
         run->start.has_speed = 1;
     }
@@ -1889,6 +1951,10 @@ static int admit_to_graph(Graph *g) {
     run->graph.flipped = 0;
     run->graph.flipped_time = NAN;
     run->graph.has_events = 0;
+    for (k = 0; k < ZL_STOPS; k++) {
+        run->graph.met_times[k] = NAN;
+        run->graph.met_gaps[k] = 0.0;
+    }
     take_sides(g, x);
     look(g, 0, 0);
     start_without_speed(run, ZL_FREE, 0.0);

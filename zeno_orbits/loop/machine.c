@@ -22,6 +22,12 @@ static void write_event_of(const Machine *m, int kind, long long index, double t
     memcpy(row + 2, numbers, 3 * sizeof(double));
     row[5] = (double)index;
     m->run->graph.has_events = 1;
+    if (kind == ZL_IMPACT || kind == ZL_RELEASE) {
+        double gap[2];
+        evaluate_at(m, ZL_GAP, after, gap);
+        m->run->graph.met_times[index] = time;
+        m->run->graph.met_gaps[index] = gap[0];
+    }
     if (kind == ZL_SWITCH && index < m->graph->n_declared) m->run->graph.last_switch = index;
     memcpy(row + ZL_EVENT_WIDTH, before, n_x * sizeof(double));
     memcpy(row + ZL_EVENT_WIDTH + n_x, after, n_x * sizeof(double));

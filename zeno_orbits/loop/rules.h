@@ -124,6 +124,7 @@
 #define SLOW 3e-05
 #define LOST 1e-05
 #define COUPLED 1e-12
+#define LEFT_GAP 4.0
 
 /* simulation/accumulations.py */
 #define IN_TURN 16

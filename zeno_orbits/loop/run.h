@@ -44,6 +44,8 @@ typedef struct {
     double flipped_time;
     long long n_turn, turn_stops[IN_TURN], n_row[ZL_GUARDS];
     double turn_times[IN_TURN], row_times[ZL_GUARDS][IN_ROW];
+    double met_times[ZL_STOPS], met_gaps[ZL_STOPS]; /* of each stop: when it was last struck or opened,
+                                                       and the gap that was left */
     /* Of the present arc: what it is, whether every guard is followed to its end, and its window. */
     long long kind, careful, retried, outcome, undefined, next_guard, found, in_side;
     double window, horizon, limit;

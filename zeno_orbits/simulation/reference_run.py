@@ -49,7 +49,7 @@ from zeno_orbits.model import (
 )
 from zeno_orbits.simulation.accumulations import Accumulations
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart, launched
-from zeno_orbits.simulation.event_rules import stop_holds
+from zeno_orbits.simulation.event_rules import ROUNDING, stop_holds
 from zeno_orbits.simulation.events import EventKind, Impact, Release, SwitchEvent, ZenoPoint
 from zeno_orbits.simulation.execution import Arc, Ending, Execution, Mode, named
 from zeno_orbits.simulation.interruptions import (
@@ -105,6 +105,8 @@ _LOW, _SLOW = 1e-9, 3e-5
 """Gap and gap rate over the problem's own, below which a flight beside another has few digits."""
 _LOST = 1e-5
 """Part of the height of a flight that rounding may take from it, where impacts come in turn."""
+_LEFT = 4.0
+"""Gap over the gap that an event left at its stop, below which it is the rounding of that event."""
 _COUPLED = 1e-12
 """Entry of `J W J^T`, over the roots of its diagonal entries, above which two stops are coupled."""
 
@@ -807,8 +809,8 @@ class ReferenceRun(StopRun):
         for k in self._open_beside(closed):
             view = self._view((), k)
             rate = view.gap_rate(x)
-            if rate < -self.settings.contact * view.own.gap_rate and self._is_zero(
-                view.gap(x), rate, self.settings.contact * view.own.gap
+            if rate < -self.settings.contact * view.own.gap_rate and self._closes(
+                k, view.gap(x), rate, x
             ):
                 self._require_apart(sorted((self.focus, k)), closed, time, x)
                 self._require_resolved(view.gap(x), rate, time, x)
@@ -887,17 +889,18 @@ class ReferenceRun(StopRun):
         for k in self._open_beside(closed):
             view = self.graph.view(mode, k)
             gap, rate, rounding = view.gap(x), view.gap_rate(x), contact * view.own.gap
-            lost = _lost(rate, view.own)
+            lost, moves = _lost(rate, view.own), abs(rate) > contact * view.own.gap_rate
             if self.seen.come_in_turn and gap > lost:
                 # Its flight is under way: to launch it again would take its height from it.
                 rounding = min(rounding, lost)
                 yield _Guard(Kind.GAP, k, view.free, x, None, gap <= rounding, rounding)
-            elif gap <= rounding and rate > contact * view.own.gap_rate:
+            elif gap <= rounding and moves and self._is_left(k, rate, start):
                 rounding = contact / view.own.gap_acceleration
                 flight, y = view.flight(rate), launched(x, 1.0)
                 yield _Guard(Kind.GAP, k, flight, y, rate, True, rounding)
             else:
-                yield _Guard(Kind.GAP, k, view.free, x, None, gap <= rounding, rounding)
+                on_guard = gap <= rounding and not (gap > 0.0 and moves)
+                yield _Guard(Kind.GAP, k, view.free, x, None, on_guard, rounding)
         values, levels, _ = self.graph.guards(x, self.sides, closed)
         unknown = np.flatnonzero(np.isnan(values))
         if unknown.size:
@@ -909,6 +912,14 @@ class ReferenceRun(StopRun):
             flow = self.graph.guard_flow(mode, s, bool(above))
             on_guard = value <= float(levels[s])
             yield _Guard(Kind.SWITCH, s, flow, x, None, on_guard, float(levels[s]))
+
+    def _is_left(self, stop: int, rate: float, start: ArcStart) -> bool:
+        """Return True if the flight from another stop begins with an arc, and is not under way."""
+        if not rate > 0.0:
+            return False
+        if self.seen.come_in_turn or self._is_met(stop, start.time):
+            return True
+        return self._view((), stop).gap(start.state) <= self._rounding(stop, start.state)
 
     def _earliest(self, guards: Sequence[_Guard], arc: Arc) -> Interruption | None:
         """Return the earliest event of other guards within an arc, if there is one.
@@ -1107,7 +1118,11 @@ class ReferenceRun(StopRun):
                 if self._is_one_surface(guard, first, closed, x):
                     continue
             value, rate = self._value(guard, closed, x)
-            if self._is_zero(value, rate, guard.rounding):
+            if guard.kind is Kind.GAP:
+                is_zero = self._closes(guard.index, value, rate, x)
+            else:
+                is_zero = self._is_zero(value, rate, guard.rounding)
+            if is_zero:
                 if guard.kind is Kind.GAP:
                     self._require_resolved(value, rate, arc.end_time, x)
                 zero.append(event)
@@ -1201,7 +1216,7 @@ class ReferenceRun(StopRun):
         if start.mode is Mode.LOCKED:
             value, rate = self.dynamics.multiplier(x), self.dynamics.multiplier_rate(x)
             return self._is_zero(value, rate, self.settings.contact * self.own.multiplier)
-        return self._is_zero(self.dynamics.gap(x), self.dynamics.gap_rate(x), self.small_gap)
+        return self._closes(self.focus, self.dynamics.gap(x), self.dynamics.gap_rate(x), x)
 
     def _occurs(self, kind: Kind, index: int, x: Vector, closed: tuple[int, ...]) -> bool:
         """Return True if the zero of a guard is an event: a declared switch is armed and falls."""
@@ -1525,8 +1540,43 @@ class ReferenceRun(StopRun):
         if flight is not None and focus == flying:
             return replace(flight, state=x)
         rate = self.dynamics.gap_rate(x)
+        known = focus in (was_closed or ()) or (
+            focus != flying and self.dynamics.gap(x) <= self._rounding(focus, x)
+        )
+        if was_closed is None:
+            known = known or self.dynamics.gap(x) <= rate * _APART * self.own.time
         launches = self.dynamics.gap(x) <= self.small_gap and rate > self.small_rate
-        return ArcStart(mode=Mode.FREE, time=time, state=x, speed=rate if launches else None)
+        known = launches and (known or self._is_met(focus, time))
+        return ArcStart(mode=Mode.FREE, time=time, state=x, speed=rate if known else None)
+
+    def _last_met(self, stop: int) -> Impact | Release | None:
+        """Return the last impact on a stop, or its last release, if there is one."""
+        name = self.graph.stop_names[stop] if self.graph.stop_names else ""
+        for event in reversed(self.events):
+            if isinstance(event, Impact | Release) and event.stop == name:
+                return event
+        return None
+
+    def _is_met(self, stop: int, time: float) -> bool:
+        """Return True if a stop was struck or opened at a time, so that its gap is zero."""
+        last = self._last_met(stop)
+        return last is not None and last.time == time
+
+    def _rounding(self, stop: int, x: Vector) -> float:
+        """Return the rounding of a gap: of its states, and what an event left at the stop."""
+        view, last = self._view((), stop), self._last_met(stop)
+        gap, total = view.gap(x), 0.0
+        for k in range(x.size):
+            moved = x.copy()
+            moved[k] += ROUNDING * x[k]
+            total += abs(view.gap(moved) - gap)
+        return max(total, 0.0 if last is None else _LEFT * abs(view.gap(last.after)))
+
+    def _closes(self, stop: int, gap: float, rate: float, x: Vector) -> bool:
+        """Return True if a gap falls through zero at a state, to its rounding."""
+        if gap > self.settings.contact * self._view((), stop).own.gap:
+            return self._is_zero(gap, rate, 0.0)
+        return rate < 0.0 and self._is_zero(gap, rate, self._rounding(stop, x))
 
     def _stops_met(
         self,
@@ -1568,6 +1618,11 @@ class ReferenceRun(StopRun):
             # An open gap of a first state is as exact as its user gives it.
             apart = contact if was_closed is None else small
             if gap > apart * view.own.gap or (k == flying and not (is_on and falls)):
+                continue
+            # A gap above its rounding belongs to a flight, unless the stop was closed.
+            is_given = was_closed is None or k in was_closed
+            moves = abs(rate) > small * view.own.gap_rate and gap > self._rounding(k, x)
+            if moves and not is_given and not self._closes(k, gap, rate, x):
                 continue
             if is_on and abs(rate) <= small * view.own.gap_rate:
                 still.append(k)

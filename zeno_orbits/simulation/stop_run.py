@@ -170,8 +170,12 @@ class StopRun(ABC):
         released = dynamics.gap(x) <= self.small_gap
         if released and self._throws_back(x) and (hop := self._small_hop(x)) is not None:
             return self._hop(start, hop)
+        # A flight that is under way has left its gap of zero.
+        on_guard = released and not (
+            dynamics.gap(x) > 0.0 and abs(dynamics.gap_rate(x)) > self.small_rate
+        )
         try:
-            arc, _ = self.follow_arc(start, dynamics.free, Ending.IMPACT, on_guard=released)
+            arc, _ = self.follow_arc(start, dynamics.free, Ending.IMPACT, on_guard=on_guard)
         except PenetrationError as error:
             # A flight that is lower than the rounding of the gap may explain it.
             if (hop := self._small_hop(x)) is None:
