@@ -131,6 +131,7 @@ RULES: dict[str, float] = {
     "SLOW": reference_run._SLOW,
     "LOST": reference_run._LOST,
     "COUPLED": reference_run._COUPLED,
+    "LEFT_GAP": reference_run._LEFT,
     "IN_TURN": accumulations._IN_TURN,
     "IN_ROW": accumulations._IN_ROW,
     "LAST_IMPACTS": accumulations._LAST,
