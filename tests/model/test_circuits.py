@@ -269,7 +269,16 @@ def test_a_jump_at_an_impact_of_no_speed_is_refused() -> None:
     kinked = (ca.fabs(v), -ca.fmin(v, 0), v < 0, ca.fmin(v, 0) ** 2, ca.sqrt(v**2))
     # Another law below the stop alone, where values of about 1 are not.
     below = z + 0.2 * v + ca.fmax(-mass.q, 0)
-    for jump in (ca.SX(0), z + v**2, z + 1, *(z + 0.2 * one for one in kinked), below):
+    # A jump in a small unit is held against its own size, not against one.
+    hybrid_system(mass, Auxiliary(states=z, rate=-z, after_impact=z + 1e-12 * v), ca.SX(0.5))
+    for jump in (
+        ca.SX(0),
+        z + v**2,
+        z + 1e-12 * v**2,
+        z + 1,
+        *(z + 0.2 * one for one in kinked),
+        below,
+    ):
         further = Auxiliary(states=z, rate=-z, after_impact=jump)
         with pytest.raises(ValueError, match="`after_impact` must change the states in proportion"):
             hybrid_system(mass, further, ca.SX(0.5))

@@ -177,3 +177,63 @@ def test_a_spike_between_random_points_is_the_declared_limit_of_the_check() -> N
     HybridLagrangian.from_matrices(
         q=q, v=v, mass_matrix=mass, coriolis=ca.SX(2, 2), gravity=ca.SX(2, 1), gap=q[0]
     )
+
+
+SCALES = (1e-15, 1e-12, 1.0, 1e12)
+"""Masses written as numbers, from those of a microchip to those of an asteroid [kg]."""
+
+
+def _by_christoffel(mass: ca.SX, q: ca.SX, v: ca.SX) -> ca.SX:
+    coriolis = ca.SX(2, 2)
+    for i in range(2):
+        for j in range(2):
+            slopes = ca.jacobian(mass[i, j], q) + ca.jacobian(mass[i, :], q[j]).T
+            coriolis[i, j] = ca.mtimes(slopes - ca.jacobian(mass[j, :], q[i]).T, v) / 2
+    return coriolis
+
+
+@pytest.mark.parametrize("size", SCALES)
+def test_matrices_of_any_unit_are_held_against_their_own_size(
+    q: ca.SX, v: ca.SX, size: float
+) -> None:
+    one = size * (2 + ca.cos(q[1]))
+    mass = ca.blockcat([[2 * one, one], [one, ca.SX(3 * size)]])
+    coriolis = _by_christoffel(mass, q, v)
+
+    def given(mass: ca.SX, coriolis: ca.SX) -> HybridLagrangian:
+        gravity = ca.SX(2, 1)
+        return HybridLagrangian.from_matrices(
+            q=q, v=v, mass_matrix=mass, coriolis=coriolis, gravity=gravity, gap=q[0]
+        )
+
+    given(mass, coriolis)
+    with pytest.raises(ValueError, match="`coriolis` is not consistent"):
+        given(mass, (1 + 1e-6) * coriolis)
+    mass[1, 0] *= 1 + 1e-6
+    with pytest.raises(ValueError, match="`mass_matrix` is not symmetric"):
+        given(mass, coriolis)
+
+
+def test_a_heavy_part_does_not_hide_a_light_one(q: ca.SX, v: ca.SX) -> None:
+    heavy, light = 1e3 * (2 + ca.cos(q[0])), 1e-12 * (2 + ca.sin(q[1]))
+    mass = ca.diag(ca.vertcat(heavy, light))
+    potential = 1e3 * q[0] ** 2 + 1e-6 * ca.cos(q[1])
+    coriolis = ca.diag(ca.vertcat(*(ca.jtimes(one, q, v) / 2 for one in (heavy, light))))
+
+    def given(coriolis: ca.SX, weight: ca.SX) -> HybridLagrangian:
+        return HybridLagrangian.from_matrices(
+            q=q,
+            v=v,
+            mass_matrix=mass,
+            coriolis=coriolis,
+            gravity=weight,
+            gap=q[0],
+            potential=potential,
+        )
+
+    weight = ca.gradient(potential, q)
+    given(coriolis, weight)
+    with pytest.raises(ValueError, match="coordinate 2 differs"):
+        given(coriolis, weight * ca.DM([1.0, 1.01]))
+    with pytest.raises(ValueError, match="`coriolis` is not consistent"):
+        given(coriolis * ca.DM([[1.0, 1.0], [1.0, 1.01]]), weight)

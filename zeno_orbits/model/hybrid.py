@@ -29,8 +29,8 @@ from zeno_orbits.model.friction import stuck_motion
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.modes import ModeGraph
 
-_ROUNDING = 1e-9
-"""Rounding of formulas at random states with values of about 1."""
+_ROUNDING, _OF_STATES = 1e-9, 1e-14
+"""Rounding of formulas over their size, and of a change of states with values of about 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -263,7 +263,8 @@ def _state_change(
     off = ca.veccat(jump - slope * gap_rate, slope - mirrored, jump, slope)
     n = 2 * jump.numel()
     for tried in values_near_one(off, [v]):
-        if not np.max(np.abs(tried[:n])) <= _ROUNDING * max(1.0, float(np.max(np.abs(tried[n:])))):
+        size = float(np.max(np.abs(tried[n:])))
+        if not np.max(np.abs(tried[:n])) <= max(_OF_STATES, _ROUNDING * size):
             raise ValueError(
                 "Argument `after_impact` must change the states in proportion to the gap rate. "
                 "An impact at zero speed then changes nothing."
@@ -282,7 +283,7 @@ def _of_any_speed(change: ca.SX) -> ca.SX:
     slow, fast = (ca.substitute(change, impact_speed, speed) for speed in (0.1, 0.3))
     for row in values_near_one(ca.veccat(fast - slow, slow)):
         off, size = np.max(np.abs(row.reshape(2, -1)), axis=1)
-        if not off <= _ROUNDING * max(1.0, float(size)):
+        if not off <= max(_OF_STATES, _ROUNDING * float(size)):
             raise ValueError(
                 "Argument `after_impact` must change the states in proportion to 1 + e, since "
                 "the restitution e depends on the speed of the impact."

@@ -18,8 +18,8 @@ from zeno_orbits.model.expressions.operations import without_calls
 from zeno_orbits.model.stops import ABSENT, Stop
 from zeno_orbits.work import checked
 
-_ROUNDING = 1e-10
-"""Rounding level of a formula that vanishes, at values of about 1."""
+_ROUNDING, _ADDED = 1e-10, 1e-14
+"""Rounding of a formula that vanishes, over its own size and over all formulas beside it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,10 +211,8 @@ class HybridLagrangian:
         require_scalar("potential", energy)
         _require_shapes(q, v=v, gravity=gravity)
         _require_inertia("mass_matrix", mass_matrix)
-        _require_zero("mass_matrix", "symmetric", mass_matrix - mass_matrix.T)
-        momentum_rate = ca.jtimes(ca.mtimes(mass_matrix, v), q, v)
-        power = ca.dot(v, momentum_rate - 2 * ca.mtimes(coriolis, v))
-        _require_zero("coriolis", "consistent with the mass matrix, v'(dM/dt - 2C)v = 0", power)
+        _require_symmetric(mass_matrix)
+        _require_power_of_none(mass_matrix, coriolis, q, v)
         if potential is not None:
             _require_potential(ca.vec(gravity), ca.gradient(potential, q), v)
         derived = cls.from_energies(
@@ -354,13 +352,17 @@ def _require_inertia(name: str, mass_matrix: ca.SX) -> None:
 
 
 def _require_potential(gravity: ca.SX, gradient: ca.SX, v: ca.SX) -> None:
-    """Refuse a potential whose gradient is not the force at rest, at random values near 1."""
+    """Refuse a potential whose gradient is not the force at rest, at random values near 1.
+
+    Each coordinate has its own unit, so each is compared with its own size.
+    """
     still = ca.substitute(ca.horzcat(gravity, gradient), v, ca.SX.zeros(v.numel()))
     for row in values_near_one(still):
         force, slope = row.reshape(2, -1)
-        left = np.abs(force - slope)
-        k = int(np.argmax(left))
-        if left[k] > _ROUNDING * float(np.max(np.abs([force, slope]))):
+        left, sizes = np.abs(force - slope), np.max(np.abs([force, slope]), axis=0)
+        over = left - _ROUNDING * sizes - _ADDED * float(np.max(sizes))
+        k = int(np.argmax(over))
+        if over[k] > 0.0:
             raise ValueError(
                 "Argument `potential` must have the gradient that `gravity` is at rest, but "
                 f"coordinate {k + 1} differs by {left[k]:.3g}: {force[k]:.9g} and {slope[k]:.9g}, "
@@ -368,9 +370,34 @@ def _require_potential(gravity: ca.SX, gradient: ca.SX, v: ca.SX) -> None:
             )
 
 
-def _require_zero(name: str, wanted: str, expression: ca.SX) -> None:
-    """Refuse an expression that does not vanish, by its form or at random values (`identities`)."""
-    if expression.is_zero():
+def _require_symmetric(mass_matrix: ca.SX) -> None:
+    """Refuse a mass matrix that is not symmetric, each entry over the masses of its coordinates."""
+    unit = 1 / ca.sqrt(ca.diag(mass_matrix))
+    off = (mass_matrix - mass_matrix.T) * ca.mtimes(unit, unit.T)
+    _require_zero("mass_matrix", "symmetric", ca.vec(off), ca.SX(1.0), _ROUNDING)
+
+
+def _require_power_of_none(mass_matrix: ca.SX, coriolis: ca.SX, q: ca.SX, v: ca.SX) -> None:
+    """Refuse a Coriolis matrix whose force has another power than the change of inertia.
+
+    All velocities have about one kinetic energy, so that the unit of none hides that of another.
+    """
+    equal = v / ca.sqrt(ca.diag(mass_matrix))
+    rate = ca.reshape(ca.jtimes(ca.vec(mass_matrix), q, v), mass_matrix.shape)
+    off = ca.bilin(rate - 2 * coriolis, v, v)
+    if off.is_zero():
         return
-    if float(np.max(np.abs(values_near_one(expression)))) > _ROUNDING:
-        raise ValueError(f"Argument `{name}` is not {wanted}.")
+    size = ca.bilin(ca.fabs(rate) + 2 * ca.fabs(coriolis), ca.fabs(v), ca.fabs(v))
+    least = ca.bilin(ca.fabs(mass_matrix), ca.fabs(v), ca.fabs(v)) * ca.norm_1(v)
+    both = ca.substitute(ca.vertcat(off, size + _ADDED / _ROUNDING * least), v, equal)
+    wanted = "consistent with the mass matrix, v'(dM/dt - 2C)v = 0"
+    _require_zero("coriolis", wanted, both[0], both[1], _ROUNDING)
+
+
+def _require_zero(name: str, wanted: str, off: ca.SX, size: ca.SX, rounding: float) -> None:
+    """Refuse what does not vanish beside a size, by its form or at random values (`identities`)."""
+    if off.is_zero():
+        return
+    for row in values_near_one(ca.vertcat(off, size)):
+        if float(np.max(np.abs(row[:-1]))) > rounding * float(row[-1]):
+            raise ValueError(f"Argument `{name}` is not {wanted}.")
