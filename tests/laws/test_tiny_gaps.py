@@ -11,14 +11,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi
+import mpmath
 import pytest
-from mpmath import mp, mpf
 
 import zeno_orbits as zo
 from tests.support.mechanisms import machine_of
 from zeno_orbits.simulation import Impact, ZenoPoint
 
 ca: Any = casadi
+mp: Any = mpmath.mp
+mpf: Any = mpmath.mpf
 DIGITS, END = 60, mpf(10) ** -25
 LOCATED = 1e-12
 """Of times [s]: rounding of a gap over the speeds of these flights, which are short."""
@@ -50,7 +52,7 @@ def machine(masses: tuple[Mass, ...], reset: float | None = None) -> zo.Problem:
     """Return masses that do not act on each other, and a switch that only counts at a time."""
     n = len(masses)
 
-    def model(_: Mapping[str, Any]) -> zo.CompletedSystem:
+    def model(_parameters: Mapping[str, Any]) -> zo.CompletedSystem:
         q, v = ca.SX.sym("q", n + 1), ca.SX.sym("v", n + 1)
         time, forces = q[n], []
         for mass in masses:
@@ -94,8 +96,11 @@ def _roots(coefficients: list[Any]) -> list[Any]:
 
 def truth(mass: Mass) -> tuple[list[Any], Any]:
     """Return the times of the impacts of a mass, and of their limit."""
-    force = [tuple(map(mpf, piece)) for piece in mass.force]
-    t, q, v, impacts = force[0][0], mpf(mass.height), mpf(mass.speed), list[Any]()
+    force: list[list[Any]] = [[mpf(one) for one in piece] for piece in mass.force]
+    t: Any = force[0][0]
+    q: Any = mpf(mass.height)
+    v: Any = mpf(mass.speed)
+    impacts = list[Any]()
     for (since, first, slope), end in zip(
         force, [*(piece[0] for piece in force[1:]), mp.inf], strict=True
     ):

@@ -477,11 +477,12 @@ static int is_zero(const Graph *g, const double *pair, double rounding) {
     return pair[1] < 0.0 && pair[0] <= greater(rounding, -pair[1] * APART * g->m.run->settings.time);
 }
 
-/* Whether a gap falls through zero at a state, to its rounding. */
-static int closes(Graph *g, int stop, const double *gap, const double *x) {
-    const zl_settings *settings = settings_of(g, stop);
-    if (gap[0] > settings->contact * settings->gap) return is_zero(g, gap, 0.0);
-    return gap[1] < 0.0 && is_zero(g, gap, rounding_of_gap(g, stop, x));
+/* Whether a gap falls through zero at a state, to its rounding. Where impacts come in turn,
+   `is_resolved` decides about larger gaps. */
+static int closes(Graph *g, int stop, const double *gap, const double *x, double largest) {
+    if (!(gap[1] < 0.0) || gap[0] > largest || come_in_turn(&g->m.run->graph))
+        return is_zero(g, gap, largest);
+    return is_zero(g, gap, lesser(largest, rounding_of_gap(g, stop, x)));
 }
 
 /* Whether the surfaces of two kinks touch along closed stops. */
@@ -641,7 +642,7 @@ static int main_is_zero(Graph *g, int main, const double *x) {
         return is_zero(g, pair, run->settings.contact * run->settings.multiplier);
     }
     evaluate_at(&g->m, ZL_GAP, x, pair);
-    return closes(g, focus_of(g), pair, x);
+    return closes(g, focus_of(g), pair, x, run->small_gap);
 }
 
 /* Whether stops open on the other side of a kink as well, which falls with them. The flow does not
@@ -760,7 +761,7 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
                 gap_of(g, other->index, x, pair);
             else
                 tape_run(other->value, other->registers, x, pair);
-            if (!(other->kind == ZL_IMPACT ? closes(g, other->index, pair, x)
+            if (!(other->kind == ZL_IMPACT ? closes(g, other->index, pair, x, watched->rounding)
                                            : is_zero(g, pair, watched->rounding)))
                 continue;
             if (other->kind == ZL_IMPACT && !is_resolved(g, pair)) return in_turn(&g->m, time, x);
@@ -1454,7 +1455,8 @@ static int strike_again(Graph *g, double time) {
         const zl_settings *settings = settings_of(g, k);
         if ((closed | BIT(run->graph.focus)) & BIT(k)) continue;
         gap_of(g, k, x, gap);
-        if (!(gap[1] < -settings->contact * settings->gap_rate && closes(g, k, gap, x)))
+        if (!(gap[1] < -settings->contact * settings->gap_rate &&
+              closes(g, k, gap, x, settings->contact * settings->gap)))
             continue;
         status = require_apart(g, BIT(run->graph.focus) | BIT(k), closed, time, x);
         if (status != GO_ON) return status;
@@ -1745,7 +1747,7 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
         if (gap[0] > apart * settings->gap || (k == flying && !(is_on && falls))) continue;
         /* A gap above its rounding belongs to a flight, unless the stop was closed. */
         if (!is_given && fabs(gap[1]) > small * settings->gap_rate &&
-            gap[0] > rounding_of_gap(g, k, x) && !closes(g, k, gap, x))
+            gap[0] > rounding_of_gap(g, k, x) && !is_zero(g, gap, 0.0))
             continue;
         if (is_on && fabs(gap[1]) <= small * settings->gap_rate)
             still |= BIT(k);

@@ -809,8 +809,9 @@ class ReferenceRun(StopRun):
         for k in self._open_beside(closed):
             view = self._view((), k)
             rate = view.gap_rate(x)
-            if rate < -self.settings.contact * view.own.gap_rate and self._closes(
-                k, view.gap(x), rate, x
+            contact = self.settings.contact
+            if rate < -contact * view.own.gap_rate and self._closes(
+                k, view.gap(x), rate, x, contact * view.own.gap
             ):
                 self._require_apart(sorted((self.focus, k)), closed, time, x)
                 self._require_resolved(view.gap(x), rate, time, x)
@@ -1119,7 +1120,7 @@ class ReferenceRun(StopRun):
                     continue
             value, rate = self._value(guard, closed, x)
             if guard.kind is Kind.GAP:
-                is_zero = self._closes(guard.index, value, rate, x)
+                is_zero = self._closes(guard.index, value, rate, x, guard.rounding)
             else:
                 is_zero = self._is_zero(value, rate, guard.rounding)
             if is_zero:
@@ -1216,7 +1217,9 @@ class ReferenceRun(StopRun):
         if start.mode is Mode.LOCKED:
             value, rate = self.dynamics.multiplier(x), self.dynamics.multiplier_rate(x)
             return self._is_zero(value, rate, self.settings.contact * self.own.multiplier)
-        return self._closes(self.focus, self.dynamics.gap(x), self.dynamics.gap_rate(x), x)
+        return self._closes(
+            self.focus, self.dynamics.gap(x), self.dynamics.gap_rate(x), x, self.small_gap
+        )
 
     def _occurs(self, kind: Kind, index: int, x: Vector, closed: tuple[int, ...]) -> bool:
         """Return True if the zero of a guard is an event: a declared switch is armed and falls."""
@@ -1572,11 +1575,14 @@ class ReferenceRun(StopRun):
             total += abs(view.gap(moved) - gap)
         return max(total, 0.0 if last is None else _LEFT * abs(view.gap(last.after)))
 
-    def _closes(self, stop: int, gap: float, rate: float, x: Vector) -> bool:
-        """Return True if a gap falls through zero at a state, to its rounding."""
-        if gap > self.settings.contact * self._view((), stop).own.gap:
-            return self._is_zero(gap, rate, 0.0)
-        return rate < 0.0 and self._is_zero(gap, rate, self._rounding(stop, x))
+    def _closes(self, stop: int, gap: float, rate: float, x: Vector, largest: float) -> bool:
+        """Return True if a gap falls through zero at a state, to its rounding.
+
+        Where impacts come in turn, `_require_resolved` decides about larger gaps.
+        """
+        if not rate < 0.0 or gap > largest or self.seen.come_in_turn:
+            return self._is_zero(gap, rate, largest)
+        return self._is_zero(gap, rate, min(largest, self._rounding(stop, x)))
 
     def _stops_met(
         self,
@@ -1622,7 +1628,7 @@ class ReferenceRun(StopRun):
             # A gap above its rounding belongs to a flight, unless the stop was closed.
             is_given = was_closed is None or k in was_closed
             moves = abs(rate) > small * view.own.gap_rate and gap > self._rounding(k, x)
-            if moves and not is_given and not self._closes(k, gap, rate, x):
+            if moves and not is_given and not self._is_zero(gap, rate, 0.0):
                 continue
             if is_on and abs(rate) <= small * view.own.gap_rate:
                 still.append(k)
