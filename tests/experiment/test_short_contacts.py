@@ -137,3 +137,55 @@ def test_sequences_whose_flights_are_longer_than_those_between_them_decide_nothi
     found = compare_recording(orbit, table, recording)
     assert found.verdict is ComparisonVerdict.UNDECIDED, found
     assert "cannot be divided into sequences" in found.unresolved[0]
+
+
+TABLE = one_mass(
+    lambda m: m.p["A"] * m.cosine - 1 - 0.05 * m.v,
+    stops=lambda m: (zo.Stop(name="floor", gap=m.x, restitution=m.p["e"]),),
+    start={"x": 0.0, "v": 0.0, "cosine": 1.0},
+    omega=1.0,
+    A=1.6,
+    e=0.5,
+)
+"""A ball on a shaken table that rests once per turn: its bounces last 0.83, 0.48, 0.29 s, ..."""
+
+
+@cache
+def _resting(samples: float, part: float) -> Comparison:
+    """Return the comparison of a channel whose bounces are contacts of `part` sampling times."""
+    orbit = zo.find_event_orbit(TABLE)
+    step = orbit.period / samples
+    motion = zo.simulate(TABLE, start=orbit.start_state, until=13.0 * orbit.period)
+    time = np.arange(0.3 * orbit.period, 12.3 * orbit.period, step)
+    closed = np.zeros_like(time)
+    for arc in motion.arcs:
+        if arc.closed:
+            closed[(time >= arc.start_time) & (time < arc.end_time)] = 1.0
+    for impact in motion.impacts:
+        closed[(time >= impact.time) & (time < impact.time + part * step)] = 1.0
+    signal = RecordedSignal(name="contact", unit="1", values=closed)
+    recording = Recording(source=Source.SIMULATED, problem="one_mass", time=time, signals=(signal,))
+    return compare_recording(orbit, TABLE, recording)
+
+
+@pytest.mark.parametrize("samples", [60.0, 61.37, 90.5])
+@pytest.mark.parametrize("part", [0.05, 0.5, 0.95])
+def test_a_first_contact_that_samples_may_miss_has_no_time_and_doubles_no_period(
+    samples: float, part: float
+) -> None:
+    """Sampling at 60 and 90.5 samples per period misses the same contacts in every cycle or two."""
+    found = _resting(samples, part)
+    assert found.verdict is ComparisonVerdict.UNDECIDED, found
+    for name in ("impact_time", "zeno_time", "release_time"):
+        assert np.isnan(found.metric(f"floor.{name}").data)
+    assert np.isnan(found.metric("period").data)
+
+
+@pytest.mark.parametrize("samples", [60.0, 61.37, 90.5])
+def test_a_first_contact_of_three_samples_has_its_time(samples: float) -> None:
+    found = _resting(samples, 3.0)
+    assert not found.reasons
+    for name in ("period", "floor.impact_time", "floor.zeno_time", "floor.release_time"):
+        one = found.metric(name)
+        assert abs(one.data - one.orbit) < 3 * one.error, name
+    assert found.metric("period").error < 0.01

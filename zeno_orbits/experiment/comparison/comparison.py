@@ -21,7 +21,7 @@ from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_fit import ContactFit, fit_contacts
 from zeno_orbits.experiment.comparison.contact_gaps import contradictions
 from zeno_orbits.experiment.comparison.deviations import N_BINS, Deviations, deviations
-from zeno_orbits.experiment.comparison.estimate import Estimate, instruments_json
+from zeno_orbits.experiment.comparison.estimate import UNKNOWN, Estimate, instruments_json
 from zeno_orbits.experiment.comparison.event_contacts import coarse_channel
 from zeno_orbits.experiment.comparison.gap_model import gap_model, recorded_gap
 from zeno_orbits.experiment.comparison.gap_samples import stop_level
@@ -144,6 +144,8 @@ class Comparison(TableRepr):
         periods = [Estimate(value=where.period, error=where.period_error), seen.period]
         known = [one for one in periods if one.known and math.isfinite(one.error)]
         period = min(known, key=lambda one: one.error, default=_period_of(found))
+        if not self.overlay.names and not seen.period.known and seen.unsure():
+            period = UNKNOWN
         metrics = [metric("period", "s", table.period, period)]
         if self.contacts is not None and isinstance(table, OrbitTable):
             metrics += contact_metrics(table, self.contacts, where, self.problem.gap_unit)
@@ -264,6 +266,8 @@ def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Compariso
         return replace(begun, unresolved=(few,), remarks=tuple(remarks))
     # Channels that miss contacts show no period, though the motion may have one.
     missed = () if names else tuple(_missed(orbit, recording.time, channels))
+    if overlay is not None and not names:
+        missed += overlay.seen.unsure()
     if missed and (overlay is None or not overlay.holds):
         return replace(begun, overlay=overlay, unresolved=missed, remarks=tuple(remarks))
     if overlay is None:

@@ -79,6 +79,11 @@ class SeenSequence:
         """True if every contact and flight has so many samples that none is missed."""
         return self.fewest >= _FEWEST
 
+    @property
+    def begins_surely(self) -> bool:
+        """True if the first contact and the flight after it are resolved, so none is before it."""
+        return self.n_sure > 1
+
 
 def seen_contacts(time: Vector, channel: Vector) -> list[SeenContact]:
     """Return the contacts of a channel in order of time.

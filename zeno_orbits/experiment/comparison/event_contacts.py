@@ -19,7 +19,7 @@ from zeno_orbits.experiment.comparison.contact_edges import (
     seen_contacts,
     seen_sequences,
 )
-from zeno_orbits.experiment.comparison.estimate import Estimate
+from zeno_orbits.experiment.comparison.estimate import UNKNOWN, Estimate
 from zeno_orbits.experiment.comparison.metrics import Metric, metric
 from zeno_orbits.experiment.orbit_table import PeriodTable
 from zeno_orbits.experiment.sequences import OrbitSequence, bounce_and_flight, longest_flight
@@ -108,7 +108,10 @@ class SeenEvents:
         series: list[list[Edge]] = []
         cycles: list[tuple[int, ...]] = []
         for stop in stops:
-            for found, numbers in zip(stop.seen, stop.cycles, strict=True):
+            parts = zip(stop.orbit, stop.seen, stop.cycles, strict=True)
+            for sequence, found, numbers in parts:
+                if stop.coarse or not _is_told(sequence, found):
+                    continue
                 series += [[one.begins[0] for one in found], [one.release for one in found]]
                 cycles += [numbers, numbers]
         return cls(
@@ -164,7 +167,8 @@ class SeenEvents:
                 against, open_ = self._finding(stop, label, sequence, found, partly)
                 reasons += against
                 unresolved += open_
-                if not against and self._alternates(found, np.array(numbers)):
+                told = not against and _is_told(sequence, found)
+                if told and self._alternates(found, np.array(numbers)):
                     reasons.append(f"every other cycle of `{label}` differs: the period is doubled")
         return tuple(reasons), tuple(unresolved)
 
@@ -220,17 +224,30 @@ class SeenEvents:
         return min((min(one, period - one) for one in away), default=period)
 
     def _alternates(self, found: Sequence[SeenSequence], numbers: NDArray[np.int64]) -> bool:
-        """Return True if the first contacts of even and odd cycles are at different phases.
+        """Return True if edges of even and odd cycles are at different phases.
 
         If the sampling is synchronous with two periods, it alone moves an edge by up to a sample.
         """
-        late: Vector = np.array([one.begins[0].middle for one in found])
-        parts = [(late - numbers * self.period.value)[numbers % 2 == k] for k in (0, 1)]
-        if min(map(len, parts)) < 2 or not self.period.known:
+        if min(np.sum(numbers % 2 == k) for k in (0, 1)) < 2 or not self.period.known:
             return False
-        spread = math.hypot(*(float(np.std(one)) / math.sqrt(len(one)) for one in parts))
-        apart = abs(float(np.mean(parts[0]) - np.mean(parts[1])))
-        return apart > self.step + _DOUBLED * spread
+        for edges in ([one.begins[0] for one in found], [one.release for one in found]):
+            late = np.array([one.middle for one in edges]) - numbers * self.period.value
+            parts = [late[numbers % 2 == k] for k in (0, 1)]
+            spread = math.hypot(*(float(np.std(one)) / math.sqrt(len(one)) for one in parts))
+            apart = abs(float(np.mean(parts[0]) - np.mean(parts[1])))
+            if apart > self.step + _DOUBLED * spread:
+                return True
+        return False
+
+    def unsure(self) -> tuple[str, ...]:
+        """Return why the samples may miss first contacts, and with them the period."""
+        return tuple(
+            f"the first contact of `{label}` cannot be decided: samples are {self.step:.3g} s "
+            f"apart, and shorter contacts and flights may be missed"
+            for stop in self.stops
+            for label, sequence, found in zip(stop.labels(), stop.orbit, stop.seen, strict=True)
+            if found and not _is_told(sequence, found)
+        )
 
     def metrics(
         self, table: PeriodTable, start: Estimate, period: Estimate, *, quantities: bool
@@ -257,6 +274,7 @@ class SeenEvents:
                     period=period,
                     table=table,
                     start=start,
+                    is_told=not stop.coarse and _is_told(sequence, seen),
                 )
                 found += one.times()
                 if quantities and sequence.zeno is not None:
@@ -347,6 +365,20 @@ def coarse_channel(time: Vector, channel: Vector, name: str) -> str:
     )
 
 
+def _is_told(sequence: OrbitSequence, seen: Sequence[SeenSequence]) -> bool:
+    """Return True if the samples tell the first contact of a sequence from a later one.
+
+    Args:
+        sequence: The sequence of the orbit.
+        seen: The recorded sequences.
+    """
+    if sequence.zeno is None:
+        return True
+    if not len(sequence.flights):
+        return all(one.is_resolved for one in seen)
+    return all(one.begins_surely for one in seen)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Quantities:
     """The quantities of a sequence over all cycles."""
@@ -358,6 +390,7 @@ class _Quantities:
     period: Estimate
     table: PeriodTable
     start: Estimate
+    is_told: bool
 
     def times(self) -> list[Metric]:
         """Return the first impact, the end of the chatter and the release, since the zero phase."""
@@ -439,6 +472,8 @@ class _Quantities:
 
     def _time(self, word: str, own: float, edges: Vector, doubt: float = 0.0) -> Metric:
         period, table = self.period.value, self.table
+        if not self.is_told:
+            return metric(f"{self.label}.{word}", "s", table.since_zero(own), UNKNOWN)
         # Cycles count from the start nearest to the middle, so an error of the period hardly moves.
         late = edges - self.start.value
         turns = np.round((late - own * period / table.period) / period)

@@ -205,7 +205,7 @@ def lay_over(
     else:
         table = tabulate_orbit(orbit, problem, (*names, *also))
     where = aligned(table, time, values, found, names) if names else None
-    period = found.period if where is None else where.period
+    period = _single(found.period, table.period) if where is None else where.period
     seen = SeenEvents.of(time, channels, table.sequences, table.period, period)
     if where is None or not math.isfinite(where.error):
         where = _by_contacts(time, seen, found, where)
@@ -243,6 +243,21 @@ def _periodicity(time: Vector, rows: Vector, period: float, *, halves: bool) -> 
         return found
     several = periodicity(time, rows, near=turns * found.period)
     return found if several is None or several.n_cycles < 1.0 else several
+
+
+def _single(period: float, own: float) -> float:
+    """Return the period of channels that repeat after several periods of the orbit.
+
+    Samples that are synchronous with two periods show other edges in every other one.
+
+    Args:
+        period: Time after which the channels repeat [s].
+        own: Period of the orbit [s].
+    """
+    turns = round(period / own)
+    if turns < 2 or abs(period / own / turns - 1.0) > _SEVERAL:
+        return period
+    return period / turns
 
 
 def _by_contacts(
