@@ -18,6 +18,7 @@ from scipy.optimize import brentq
 
 import zeno_orbits as zo
 from tests.support.cases import fast
+from zeno_orbits.api import rig_warnings
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment import RigSettings
 from zeno_orbits.integrators import Tolerance
@@ -278,3 +279,23 @@ def test_a_bumper_acts_while_its_stop_is_compressed(factor: int, further: bool) 
     rig = zo.Rig(contact=zo.Contact(stiffness=1e6))
     touch = zo.simulate_rig(problem, rig, until=1.5).touches[0]
     assert touch.end - touch.start == pytest.approx(math.pi / 2e3, rel=1e-3)
+
+
+@pytest.mark.parametrize(("spacing", "is_warned"), [(2e-3, False), (8e-3, True)])
+def test_contacts_that_samples_may_miss_are_warned_of(spacing: float, is_warned: bool) -> None:
+    """A mass of 1 kg vibrates on its stop with half a period of ``pi / sqrt(k)``, 9.9 ms."""
+    run = zo.simulate_rig(
+        "clapper",
+        zo.Rig(contact=zo.Contact(stiffness=1e5)),
+        until=8.0,
+        parameters={"A": 2.0, "omega": 1.3},
+        settings=RigSettings(spacing=spacing),
+    )
+    lasts = min(touch.end - touch.start for touch in run.touches if math.isfinite(touch.end))
+    assert lasts == pytest.approx(math.pi / math.sqrt(1e5), rel=0.2)
+    told = rig_warnings(run, zo.load_problem("clapper"))
+    found = [one for one in told if "may miss contacts" in one]
+    assert bool(found) is is_warned
+    for one in found:
+        assert f"lasts {lasts:.2g} s" in one
+        assert f"{2 / lasts:.2g} samples a second" in one

@@ -747,15 +747,18 @@ def rig_sampling(rig: Rig, rate: float | None, until: float, *, noise: float = 0
 
 
 def rig_warnings(run: RigRun, problem: Problem) -> tuple[str, ...]:
-    """Return warnings about deep penetrations of the stop in a run.
+    """Return warnings about deep penetrations of the stop and contacts that samples may miss.
+
+    The gap of a single stop shows contacts that its channel misses.
 
     Args:
         run: The run.
         problem: Its problem.
     """
-    from zeno_orbits.experiment import penetration_warnings
+    from zeno_orbits.experiment import penetration_warnings, sampling_warnings
 
-    return penetration_warnings(run, problem)
+    missed = sampling_warnings(run) if problem.has_graph else ()
+    return (*penetration_warnings(run, problem), *missed)
 
 
 def counterpart_for(

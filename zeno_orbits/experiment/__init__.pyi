@@ -43,6 +43,7 @@ from .rig.cycles import periods_near as periods_near
 from .rig.cycles import settle_rig as settle_rig
 from .rig.default_stop import default_rig as default_rig
 from .rig.cycle_comparison import penetration_warnings as penetration_warnings
+from .rig.cycle_comparison import sampling_warnings as sampling_warnings
 from .rig.run import RigSettings as RigSettings
 from .rig.run import recording_of as recording_of
 from .rig.run import require_noise as require_noise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -29,6 +30,8 @@ _AWAY = 0.8
 """Distance of settled cycles from the orbit at most, in parts of its size."""
 _WORTH = 1e-2
 """A trend over all the cycles is worth telling from this part of the orbit's number on."""
+_RESOLVED = 2.0
+"""Sampling times of a contact of which two samples are sure."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,6 +208,29 @@ def penetration_warnings(run: RigRun, problem: Problem) -> tuple[str, ...]:
     share = f"{100 * depth / height:.2g} % of the highest gap" if height > 0.0 else "all the time"
     found = f"the stop gives way by {depth:.2g} {problem.gap_unit}, {share}"
     return (f"{found}: a stiffer stop needs a larger --part contact.stiffness",)
+
+
+def sampling_warnings(run: RigRun) -> tuple[str, ...]:
+    """Return a warning if the samples of a run may miss contacts.
+
+    A contact that is shorter than two sampling times may have a single sample, or none.
+
+    Args:
+        run: The run.
+    """
+    times = run.record.times
+    if len(times) < 2:
+        return ()
+    step = float(np.median(np.diff(times)))
+    begin, end = float(times[0]), float(times[-1])
+    lasts = {t.end - t.start: t.stop for t in run.touches if begin <= t.start and t.end <= end}
+    shortest = min(lasts, default=math.inf)
+    if shortest >= _RESOLVED * step:
+        return ()
+    found = f"a contact of `{lasts[shortest]}` lasts {shortest:.2g} s, and samples are {step:.2g} s"
+    option = "--rate" if run.rig.controller is None else "--part controller.period"
+    wanted = f"{_RESOLVED / shortest:.2g} samples a second resolve it ({option})"
+    return (f"{found} apart, so its channel may miss contacts: {wanted}",)
 
 
 def drift(values: Vector) -> tuple[float, float]:
