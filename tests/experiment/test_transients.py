@@ -512,3 +512,22 @@ def test_a_velocity_with_hidden_impacts_leads_to_the_true_optimum(seed: int) -> 
     for one in found.fitted:
         if math.isfinite(one.error):
             assert abs(one.value - truth[one.unknown.label]) < 4 * one.error
+
+
+@pytest.mark.parametrize("held", [0.0, 0.06, 0.25])
+def test_samples_before_the_release_are_named_with_the_time_that_leaves_them_out(
+    held: float,
+) -> None:
+    clean = heights(np.maximum(TIMES - held, 0.0), (0.7, 0.0 if held else 0.05))
+    recording = track(TIMES, noisy(clean, 1e-3, 2))
+    found = zo.identify("bouncing_ball", recording, ["restitution"], on_progress=silent)
+    assert structure_left(found)
+    told = [one for one in found.remarks if "--t-start" in one]
+    assert len(told) == (1 if held else 0)
+    for one in told:
+        begin = float(one.rpartition(" ")[2])
+        assert begin == pytest.approx(held, abs=0.015)
+        cropped = zo.crop(recording, begin)
+        again = zo.identify("bouncing_ball", cropped, ["restitution"], on_progress=silent)
+        assert not structure_left(again)
+        assert again.values.parameters["restitution"] == pytest.approx(0.7, abs=0.005)

@@ -23,6 +23,9 @@ _FLOOR = 1e-6
 """Least noise of a channel, relative to its range: files have finitely many digits."""
 _AGAIN = 3
 """Further searches for impacts between slower and slower flights."""
+_RESTS, _HALF, _HELD = 2e-3, 0.5, 0.15
+"""Parts of the range of a channel that rests and of one that moves, and the part of the time until
+then for which a channel was held."""
 _FAR = 1e-4
 """Step of a state, relative to its scale, that shows whether the gap depends on it."""
 
@@ -199,3 +202,37 @@ def rest_begins(time: Vector, values: Vector) -> float | None:
             latest = max(latest, float(time[moving[-1]]))
     span = float(time[-1] - time[0])
     return latest if latest < time[-1] - 0.03 * span and np.isfinite(latest) else None
+
+
+def held_until(time: Vector, values: Vector) -> float | None:
+    r"""Return the time until which all channels rest, or ``None`` if they move from the beginning.
+
+    A channel that leaves its rest at `h` with a constant acceleration crosses the part `f` of its
+    range at :math:`h + \sqrt{f}\,T`. Two crossings give `h`.
+
+    Args:
+        time: ``(n,)`` [s].
+        values: Channels, ``(n, n_s)``.
+    """
+    found: list[float] = []
+    for row in values.T:
+        known = np.isfinite(row)
+        t, away = time[known], row[known]
+        if len(t) < 20 or not np.ptp(away) > 0.0:
+            continue
+        size = float(np.ptp(away))
+        part = max(8.0 * noise_of(row) / size, _RESTS)
+        if part > _HALF / 2:
+            return None
+        away = np.abs(away - float(np.median(away[:5]))) / size
+        # A single wild sample is no motion.
+        leaves, half = (
+            float(t[int(np.argmax((away > one) & (np.roll(away, -1) > one)))])
+            for one in (part, _HALF)
+        )
+        low, high = np.sqrt(part), np.sqrt(_HALF)
+        begin = (high * leaves - low * half) / (high - low)
+        if begin - t[0] < max(_HELD * (half - t[0]), 4.0 * float(np.median(np.diff(t)))):
+            return None
+        found.append(begin)
+    return min(found, default=None)

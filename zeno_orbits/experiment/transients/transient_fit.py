@@ -33,6 +33,7 @@ from zeno_orbits.experiment.transients.motion import SETTINGS, TransientMotion
 from zeno_orbits.experiment.transients.residual_tests import ResidualTests, tested
 from zeno_orbits.experiment.transients.scattered_impacts import MixedFit, mixed_fit
 from zeno_orbits.experiment.transients.second_clock import SecondFile, clock_words, with_second
+from zeno_orbits.experiment.transients.seen_impacts import held_until
 from zeno_orbits.experiment.transients.shooting import (
     Shooting,
     event_times,
@@ -851,6 +852,8 @@ def _remarks(
     for one in trials:
         remarks += [f"{one.label}: {w}" if many else w for w in (*one.missed, *one.false)]
     remarks += [f"`{label}` reached an end of its range, so it has no interval" for label in at_end]
+    if tests.has_structure:
+        remarks += [word for one in shooting.trials for word in _held_words(one)]
     if not _is_determined(found):
         remarks.append("no value has an interval: there are no more data than unknowns")
     if found.starts > 2 and found.agreed < 2:
@@ -868,6 +871,19 @@ def _remarks(
         text = ", ".join(f"`{name}` = {value:.6g}" for name, value in one.items())
         remarks.append(f"another optimum fits nearly as well: {text}")
     return remarks
+
+
+def _held_words(trial: TrialData) -> Iterator[str]:
+    """Yield the advice to leave out samples before the release."""
+    if trial.twin is not None or any(one.name == OFFSET for one in trial.free):
+        return
+    held = held_until(trial.time, trial.values)
+    if held is not None:
+        at = trial.origin + held
+        yield (
+            f"{trial.label}: the signals rest until {at:.4g} s: if the machine was held until then,"
+            f" leave out that part with --t-start {at:.4g}"
+        )
 
 
 __all__ = ["FittedTrial", "TransientFit", "TransientResult", "UnfittableError", "fit_transients"]
