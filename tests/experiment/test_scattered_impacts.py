@@ -64,6 +64,25 @@ def test_one_scattering_drop_has_an_interval_as_wide_as_its_few_impacts_allow() 
     assert 0.005 < found.transient.scatter < 0.1
 
 
+def test_the_values_of_the_drawn_motion_are_named_beside_the_mean_restitution() -> None:
+    found = _fit(4, 0.75, 0.03)
+    assert found.transient is not None
+    (told,) = [one for one in found.remarks if "nearest single motion" in one]
+    e = float(told.rpartition(" = ")[2])
+    trial = found.transient.trials[0]
+    height, rate = trial.start["height"], trial.start["speed"]
+    # Up to the second impact, by the closed form of two flights.
+    since = trial.time - trial.origin
+    first = (rate + math.sqrt(rate**2 + 2 * G * height)) / G
+    speed = e * math.sqrt(rate**2 + 2 * G * height)
+    fall = height + rate * since - G * since**2 / 2
+    late = since - first
+    wanted = np.where(since < first, fall, speed * late - G * late**2 / 2)
+    inside = late < 2 * speed / G
+    assert trial.fitted[inside, 0] == pytest.approx(wanted[inside], abs=1e-4)
+    assert abs(e - found.fitted[0].value) > 1e-4
+
+
 def test_a_drop_without_scatter_keeps_the_interval_of_its_samples() -> None:
     found = _fit(2, 0.75, 0.0)
     (one,) = found.fitted

@@ -524,6 +524,7 @@ def _described(
     trials = tuple(_fitted_trial(shooting, found, j) for j in range(len(shooting.trials)))
     scattered = _fits_machine(sought) and after > _EXACT and tests.law_differs
     mixed = mixed_fit(shooting, found, noise) if scattered else None
+    squares = () if mixed is None else _squares_words(shooting, found, sought)
     if mixed is not None:
         shooting, scatter = mixed.shooting, mixed.noise.scatter
         found = replace(mixed.found, agreed=found.agreed, starts=found.starts)
@@ -566,8 +567,21 @@ def _described(
         ),
         remarks=tuple(
             _remarks(shooting, found, basis.at_end, trials, tests, others, widened=widened)
-        ),
+        )
+        + squares,
     )
+
+
+def _squares_words(
+    shooting: Shooting, found: StagedFit, sought: Sequence[FitParameter]
+) -> tuple[str, ...]:
+    """Return which values the drawn motions have beside those of a mixed model.
+
+    A motion of the mean restitution does not follow the samples of impacts that scatter.
+    """
+    pairs = zip(sought, shooting.values(found.z).tolist(), strict=True)
+    text = ", ".join(f"`{one.label}` = {value:.6g}" for one, value in pairs)
+    return (f"deviations and pictures are those of the nearest single motion, with {text}",)
 
 
 def _under_scatter(
