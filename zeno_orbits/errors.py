@@ -233,18 +233,19 @@ class PenetrationError(SimulationError):
 
 
 class SlidingError(SimulationError):
-    """The flows on both sides of a switch point to it: the motion slides along the switch."""
+    """The flows on both sides of a switch point to it: the motion slides along the switch.
 
-    def __init__(self, reason: str, *, time: float, state: tuple[float, ...]) -> None:
+    Attributes:
+        remedy: What to write instead. It ends the message.
+    """
+
+    def __init__(
+        self, reason: str, *, time: float, state: tuple[float, ...], remedy: str = ""
+    ) -> None:
         super().__init__(reason, time=time, state=state)
-        self.args = (f"{self}. {_SMOOTHED}",)
-
-
-_SMOOTHED = (
-    "For dry friction, declare the part `zo.DryFriction(name, rate=v, torque=T)` in place of the "
-    "force `-T * ca.sign(v)`."
-)
-"""Remedy for a motion that slides."""
+        self.remedy = remedy
+        if remedy:
+            self.args = (f"{self}. {remedy}",)
 
 
 class SimultaneousEventsError(SimulationError):

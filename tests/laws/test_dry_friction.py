@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -131,7 +133,8 @@ def test_friction_that_only_turns_is_that_of_a_sign() -> None:
         units | {"unused": "1"},
         {k: v for k, v in values.numbers.items() if k != "T_static"},
     )
-    beside = zo.simulate(kinked, start=dict(problem.starts[0]), until=5.0)
+    start = {k: v for k, v in problem.starts[0].items() if isinstance(v, float)}
+    beside = zo.simulate(kinked, start=start, until=5.0)
     assert [e.time for e in found.zeno_points] == pytest.approx(
         [e.time for e in beside.zeno_points], rel=1e-10
     )
@@ -296,6 +299,66 @@ def test_wrong_declarations_are_refused() -> None:
         zo.simulate(slider(torque=1.0, static=0.9), until=1.0)
     with pytest.raises(zo.InputError, match="`side_pad` = 1 or -1"):
         zo.simulate(slider(), start={"x": 1.0, "side_pad": 0.3}, until=1.0)
+
+
+def written_model(force: str, part: str, p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+    """Return two masses on springs, with forces and a part that are written as text."""
+    x, u = ca.SX.sym("x"), ca.SX.sym("u")
+    known: dict[str, Any] = {"x": x, "u": u, "ca": ca, "zo": zo, **p}
+    forces = [ca.SX(one) for one in eval(force, known)]
+    parts: list[Any] = [eval(part, known)] if part else []
+    q, v = ca.vertcat(x, ca.SX.sym("y")), ca.vertcat(u, ca.SX.sym("w"))
+    masses = zo.HybridLagrangian.from_energies(
+        q=q,
+        v=v,
+        kinetic=ca.sumsqr(v) / 2,
+        potential=ca.sumsqr(q) / 2,
+        passive_force=ca.vertcat(*forces),
+    )
+    return zo.hybrid_system(masses, (zo.no_drive(masses), *parts))
+
+
+def written(force: str, part: str = "") -> zo.Problem:
+    units = {"x": "m", "y": "m", "u": "m/s", "w": "m/s"} | ({"side_NAME": "1"} if part else {})
+    return machine_of(partial(written_model, force, part), units, {"f": 0.3, "g": 0.2, "b": 0.15})
+
+
+@pytest.mark.parametrize(
+    ("kink", "rest", "rate", "torque"),
+    [
+        ("-f * ca.sign(u), 0", "0, 0", "u", "f"),
+        ("-g * (f + x**2) * ca.sign(2 * (u - b)), 0", "0, 0", "u - b", "g * (f + x**2)"),
+        ("ca.if_else(u > 0, -f, f) - 0.1 * u, 0", "-0.1 * u, 0", "u", "f"),
+        ("-f * u / ca.fabs(u), f", "0, f", "u", "f"),
+        (
+            "-(f + g * ca.exp(-(u / b)**2)) * ca.sign(u), 0",
+            "0, 0",
+            "u",
+            "f + g * ca.exp(-(u / b)**2)",
+        ),
+    ],
+)
+def test_a_kink_that_slides_is_told_as_the_part_that_sticks_there(
+    kink: str, rest: str, rate: str, torque: str
+) -> None:
+    with pytest.raises(zo.SlidingError) as refused:
+        zo.simulate(written(kink), start={"x": 2.0}, until=60.0)
+    told = f'zo.DryFriction("NAME", rate={rate}, torque={torque})'
+    assert f"declare the part `{told}` in place" in str(refused.value)
+    found = zo.simulate(written(rest, told), start={"x": 2.0}, until=refused.value.time + 0.01)
+    assert found.switches[-1].name == "stick NAME"
+    assert found.switches[-1].time == pytest.approx(refused.value.time, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "kink", ["-3 * ca.sign(x + u**3), 0", "-3 * ca.sign(u), -3 * ca.sign(u)", "-3 * ca.sign(u), u"]
+)
+def test_a_kink_is_told_as_friction_only_if_its_force_is_along_its_rate(kink: str) -> None:
+    with pytest.raises(zo.SlidingError) as refused:
+        zo.simulate(written(kink), start={"x": 2.0}, until=60.0)
+    is_friction = kink.endswith(", u")
+    assert ("This is no dry friction" in str(refused.value)) != is_friction
+    assert ("DryFriction" in str(refused.value)) == is_friction
 
 
 def test_a_wrong_side_of_a_start_is_set_right_by_its_rate() -> None:

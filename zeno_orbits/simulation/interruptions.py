@@ -241,18 +241,21 @@ def undetermined_contact(names: str, time: float, state: Vector) -> Simultaneous
     )
 
 
-def slides(switch: str, time: float, state: Vector) -> SlidingError:
-    """Return the error of a motion that slides along a switch.
+def slides(graph: GraphDynamics, switch: int, time: float, state: Vector) -> SlidingError:
+    """Return the error of a motion that slides along a switch, with what to write instead.
 
     Args:
-        switch: Name of the switch.
+        graph: The modes.
+        switch: Index of the switch.
         time: When [s].
         state: State there, ``(n_x,)``.
     """
+    name = graph.switch_names[switch]
     return SlidingError(
-        f"The motion slides along the switch `{switch}`: the flows on both sides point to it",
+        f"The motion slides along the switch `{name}`: the flows on both sides point to it",
         time=time,
         state=tuple(state.tolist()),
+        remedy=graph.instead_of_sliding(switch),
     )
 
 

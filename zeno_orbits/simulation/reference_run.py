@@ -494,7 +494,7 @@ class ReferenceRun(StopRun):
                 raise self.seen.in_turn(error.time, x) from error
             if not kinks:
                 raise
-            raise slides(self.graph.switch_names[kinks[0]], error.time, x) from error
+            raise slides(self.graph, kinks[0], error.time, x) from error
 
     def phase(self, start: ArcStart) -> ArcStart | None:
         """Follow one phase, without the names of its errors."""
@@ -1306,7 +1306,7 @@ class ReferenceRun(StopRun):
         time, crossed = self.flipped
         crossed = crossed if time == start.time else frozenset[int]()
         if s in crossed:
-            raise slides(name, start.time, x)
+            raise slides(self.graph, s, start.time, x)
         self.flipped = start.time, crossed | {s}
         if s < self.graph.n_declared and self._occurs(Kind.SWITCH, s, x, self._closed(start)):
             if self._occurs_at_once(start, s):
@@ -1428,7 +1428,7 @@ class ReferenceRun(StopRun):
         if is_kink:
             rate = self.graph.guard_flow((closed, self.sides), s, not was_above).guard(x)[1]
             if rate < 0.0:
-                raise slides(name, time, x)
+                raise slides(self.graph, s, time, x)
             self._count_switch(time, name, x, x)
             if start.mode is Mode.FREE and self.current is not None:
                 before, present = self.split_by

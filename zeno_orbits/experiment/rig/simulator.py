@@ -435,7 +435,7 @@ class _Follower:
             self._fallen = self._time, switch
             return
         if not falls and self._crossed == (self._time, switch):
-            raise slides(name, self._time, x)
+            raise slides(graph, switch, self._time, x)
         if armed and self._fallen != (self._time, switch):
             raise armed_at_start(name, self._time, x)
         self._crossed = None if falls else (self._time, switch)
@@ -444,7 +444,7 @@ class _Follower:
             side = self._mode.sides[switch - graph.n_declared]
             beyond = RigGuard(self._machine.n_watched + switch, on_guard=True, above=side)
             if self._flow(beyond, self._numbers.copy()).guard(self._y)[1] < 0.0:
-                raise slides(name, self._time, x)
+                raise slides(graph, switch, self._time, x)
 
     def _reset(self, switch: int) -> None:
         """Apply the reset of a declared switch."""

@@ -594,13 +594,13 @@ def _factor(formula: ca.SX, gap: ca.SX, lowest: float = 0.5) -> float:
 
 def _factor_by_form(formula: ca.SX, gap: ca.SX) -> float:
     """Return the number of which a formula is the product with a gap by its form, or zero."""
-    (one, size), (other, unit) = _without_numbers(formula), _without_numbers(gap)
+    (one, size), (other, unit) = without_numbers(formula), without_numbers(gap)
     if ca.is_equal(one, other, _DEPTH):
         return size / unit
     return -size / unit if ca.is_equal(one, -other, _DEPTH) else 0.0
 
 
-def _without_numbers(formula: Any) -> tuple[Any, float]:
+def without_numbers(formula: Any) -> tuple[Any, float]:
     """Return a formula without the numbers that multiply it, and their product."""
     factor = 1.0
     while True:

@@ -21,6 +21,7 @@ from zeno_orbits.model.domains import undefined_ahead
 from zeno_orbits.model.drives.waveforms import LEAST_PART
 from zeno_orbits.model.friction import FORCED
 from zeno_orbits.model.graph import guard_and_flow, system_of_stop
+from zeno_orbits.model.kink_friction import instead_of_kink
 from zeno_orbits.model.modes import GraphMode, ModeGraph
 from zeno_orbits.model.numeric.binding import bind
 from zeno_orbits.model.numeric.calls import Call
@@ -664,6 +665,14 @@ class GraphDynamics:
             event: Name of the event, such as ``release stop``.
         """
         return self.causes.index(event) if event in self.causes else None
+
+    def instead_of_sliding(self, switch: int) -> str:
+        """Return what to write in place of a kink along which a motion slides.
+
+        It is no text for a declared switch.
+        """
+        kink = switch - self.n_declared
+        return instead_of_kink(self.compiled.graph, kink) if kink >= 0 else ""
 
     def after_switch(self, switch: int, x: Vector) -> Vector:
         """Return the state after a declared switch, ``(n_x,)``."""

@@ -88,7 +88,7 @@ def _of_events(task: SimulationTask, told: Detail) -> _Made:
 
     return {
         binding.INSIDE: lambda: inside_stop(told.number, stops[told.index]),
-        binding.SLIDES: lambda: slides(switches[told.index], time, state),
+        binding.SLIDES: lambda: slides(task.graph, told.index, time, state),
         binding.COINCIDE: lambda: coincide(event(*about[:2]), event(*about[2:]), time, state),
         binding.SPLITS: lambda: together(f"the switch `{switches[about[1]]}` changes"),
         binding.TOGETHER: lambda: together(f"events of the switch `{switches[about[1]]}` come"),
