@@ -30,7 +30,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,7 @@ class Machine:
         start: Initial state.
         until: Length of the recording [s].
         rate: Samples per second [Hz].
+        parameters: Parameters about which the truth is drawn, by default those of the problem.
     """
 
     problem: str
@@ -69,6 +70,7 @@ class Machine:
     start: Mapping[str, float]
     until: float
     rate: float
+    parameters: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 MACHINES = {
@@ -135,6 +137,23 @@ MACHINES = {
         start={"theta1": 1.0, "theta2": 0.9},
         until=2.0,
         rate=200.0,
+    ),
+    "sticking pendulum": Machine(
+        problem="sticking_pendulum",
+        signals=("theta1", "theta2"),
+        fit=("T_gear+T_static",),
+        start={"theta1": 1.2, "theta2": 0.9, "dtheta1": 2.0},
+        until=3.0,
+        rate=200.0,
+        parameters={"T_gear": 0.05, "T_static": 0.05},
+    ),
+    "stick slip": Machine(
+        problem="stick_slip",
+        signals=("x",),
+        fit=("T", "T_static"),
+        start={"x": 0.2, "v": 0.3},
+        until=12.0,
+        rate=50.0,
     ),
     "torque pendulum": Machine(
         problem="torque_pendulum",
@@ -253,23 +272,24 @@ def one_fit(
 ) -> tuple[zo.Identification, dict[str, float], int]:
     """Return the fit of one simulated transient, the truth, and its number of resolved impacts."""
     problem = zo.load_problem(machine.problem)
-    own = problem.values().parameters
+    own = {**problem.values().parameters, **machine.parameters}
     truth, begin = dict[str, float](), dict[str, float]()
     for label in machine.fit:
         value = own[label.split("+")[0]] * (1 + _TRUTH * random.uniform(-1, 1))
         for name in label.split("+"):
             truth[name] = value
             begin[name] = value * (1 + _OFF * random.choice([-1, 1]))
-    begin["restitution"] = min(begin["restitution"], 0.95)
+    if "restitution" in begin:
+        begin["restitution"] = min(begin["restitution"], 0.95)
     start = {
         name: value * (1 + 0.1 * random.uniform(-1, 1)) if name != "cosine" else value
         for name, value in machine.start.items()
     }
-    motion = zo.simulate(problem, until=machine.until, parameters=truth, start=start or None)
+    motion = zo.simulate(problem, until=machine.until, parameters=own | truth, start=start or None)
     noise = math.exp(random.uniform(math.log(_NOISE[0]), math.log(_NOISE[1])))
     seed = int(random.integers(2**31))
     sampled = zo.sample_execution(
-        problem, motion, parameters=truth, rate=machine.rate, noise=noise, seed=seed
+        problem, motion, parameters=own | truth, rate=machine.rate, noise=noise, seed=seed
     )
     kept = tuple(one for one in sampled.signals if one.name in machine.signals)
     recording = replace(sampled, signals=kept)
@@ -279,7 +299,7 @@ def one_fit(
         recording,
         list(machine.fit),
         # Parameters that the problem derives from others are those of the truth.
-        parameters={**problem.values(parameters=truth).parameters, **begin},
+        parameters={**problem.values(parameters=own | truth).parameters, **begin},
         start={} if "current" in machine.signals else fixed,
         transient=True,
         on_progress=silent,

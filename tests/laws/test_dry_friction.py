@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,16 +14,14 @@ import pytest
 
 import zeno_orbits as zo
 from tests.reference.friction_loop import LinearMachine
+from tests.support.linear_friction import PLASTIC, events_of, events_of_reference, task_of
 from tests.support.mechanisms import machine_of
-from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.orbits import orbit_from_json
-from zeno_orbits.simulation import SimulationSettings, SimulationTask, by_reference
+from zeno_orbits.simulation import by_reference
 from zeno_orbits.simulation.compiled.executions import by_loop
 
 ROUNDING = 1e-12
 """Relative error of closed forms: steps of the integrator are a tenth as exact."""
-PLASTIC = 1e-4
-"""The other loop ends a sequence of impacts at a speed of 1e-6 m/s, so its Zeno times are early."""
 
 
 def slider_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
@@ -185,91 +183,16 @@ def test_an_impact_moves_a_part_that_sticks_only_if_it_gives_it_a_rate(
     assert all(one.time == found.impacts[0].time for one in found.switches)
 
 
-def problem_of(machine: LinearMachine) -> zo.Problem:
-    """Return a linear machine as a problem."""
-
-    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
-        n = machine.n
-        q, v = ca.SX.sym("q", n), ca.SX.sym("v", n)
-        constant, inductance, resistance, voltage = map(ca.SX, machine.circuit)
-        mechanism = zo.HybridLagrangian.from_energies(
-            q=q,
-            v=v,
-            kinetic=ca.bilin(ca.DM(machine.mass), v) / 2,
-            potential=ca.bilin(ca.DM(machine.stiffness), q) / 2 - ca.dot(machine.load, q),
-            passive_force=-ca.mtimes(ca.DM(machine.damping), v),
-            gap=ca.dot(machine.normal, q),
-        )
-        bank = zo.MotorBank(
-            selection=ca.SX(machine.motor),
-            resistance=resistance,
-            inductance=inductance,
-            torque_constant=constant,
-            emf_constant=constant,
-            voltage=voltage,
-        )
-        frictions = [
-            zo.DryFriction(f"f{k}", rate=ca.dot(row, v) - belt, torque=torque, static=static)
-            for k, (row, belt, torque, static) in enumerate(
-                zip(
-                    machine.rows,
-                    machine.belts.tolist(),
-                    machine.torques.tolist(),
-                    machine.statics.tolist(),
-                    strict=True,
-                )
-            )
-        ]
-        parts = (zo.full_drive(mechanism, bank), *frictions)
-        return zo.hybrid_system(mechanism, parts, p["e"])
-
-    units = {
-        f"{part}{k}": unit
-        for part, unit in zip("qv", ("m", "m/s"), strict=True)
-        for k in range(machine.n)
-    }
-    units |= {"i": "A"} | {f"side_f{k}": "1" for k in range(len(machine.rows))}
-    return machine_of(model, units, {"e": machine.restitution})
-
-
-def start_of(machine: LinearMachine, seed: int) -> np.ndarray:
-    """Return a random state without contact, ``(2 n,)``."""
-    random = np.random.default_rng(seed)
-    q = random.normal(size=machine.n)
-    q = q if machine.normal @ q > 0.0 else -q
-    return np.concatenate([q, random.normal(size=machine.n)])
-
-
-def without_impacts(events: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Return the other events, those at one time by their names."""
-    others = [one for one in events if one[1] != "impact"]
-    return sorted(others, key=lambda one: (round(one[0], 7), one[1]))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 8, 13, 33, 42, 53, 61, 72, 79, 85])
 def test_random_machines_follow_another_event_loop(seed: int) -> None:
-    machine, until = LinearMachine.random(seed), 8.0
-    problem, x = problem_of(machine), start_of(machine, 1000 + seed)
-    graph, n_parts = problem.graph_dynamics(problem.values()), len(machine.rows)
-    task = SimulationTask(
-        dynamics=graph,
-        state=np.concatenate([x, np.zeros(1 + n_parts)]),
-        until=until,
-        settings=SimulationSettings(engine=RungeKutta()),
-    )
+    machine = LinearMachine.random(seed)
+    task = task_of(machine, seed, 8.0)
     found, reference = by_loop(task), by_reference(task)
     assert found is not None
     assert [one.time for one in found.events] == [one.time for one in reference.events]
     assert np.array_equal(found.end_state, reference.end_state)
-    kinds = {"Impact": "impact", "ZenoPoint": "zeno", "Release": "release"}
-    events = [
-        (one.time, kinds.get(type(one).__name__) or str(getattr(one, "name", "")))
-        for one in found.events
-        if one.time > 0.0
-    ]
-    wanted = list(machine.events(np.concatenate([x, [0.0, 1.0]]), until))
-    events, wanted = without_impacts(events), without_impacts(wanted)
+    events, wanted = events_of(found), events_of_reference(machine, seed, 8.0)
     assert [name for _, name in events] == [name for _, name in wanted]
     assert [time for time, _ in events] == pytest.approx([t for t, _ in wanted], abs=PLASTIC)
 
