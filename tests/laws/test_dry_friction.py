@@ -14,7 +14,13 @@ import pytest
 
 import zeno_orbits as zo
 from tests.reference.friction_loop import LinearMachine
-from tests.support.linear_friction import PLASTIC, events_of, events_of_reference, task_of
+from tests.support.linear_friction import (
+    PLASTIC,
+    events_of,
+    events_of_reference,
+    task_of,
+    without_impacts,
+)
 from tests.support.mechanisms import machine_of
 from zeno_orbits.orbits import orbit_from_json
 from zeno_orbits.simulation import by_reference
@@ -181,6 +187,52 @@ def test_an_impact_moves_a_part_that_sticks_only_if_it_gives_it_a_rate(
     names = [one.name for one in found.switches]
     assert names == (["slip table down"] if moves else [])
     assert all(one.time == found.impacts[0].time for one in found.switches)
+
+
+def hammer() -> LinearMachine:
+    """Return `guided_hammer`, whose magnet is a third coordinate that swings freely."""
+    p = zo.load_problem("guided_hammer").values().numbers
+    mass = np.diag([p["m"], p["M"], 1.0])
+    stiffness = np.diag([0.0, p["k"], p["omega"] ** 2])
+    stiffness[0, 2] = -p["A"]
+    return LinearMachine(
+        mass=mass,
+        stiffness=stiffness,
+        damping=np.diag([0.0, p["c"], 0.0]),
+        load=-p["g"] * np.array([p["m"], p["M"], 0.0]),
+        normal=np.array([1.0, -1.0, 0.0]),
+        restitution=p["restitution"],
+        motor=np.zeros(3),
+        circuit=(0.0, 1.0, 1.0, 0.0),
+        rows=np.array([[1.0, 0.0, 0.0]]),
+        belts=np.zeros(1),
+        torques=np.array([p["T"]]),
+        statics=np.array([p["T_static"]]),
+    )
+
+
+@pytest.mark.slow
+def test_the_hammer_follows_another_event_loop() -> None:
+    found = zo.simulate("guided_hammer", until=1.0)
+    start = np.array([0.01, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    wanted = without_impacts(list(hammer().events(start, 1.0)))
+    events = [(time, name.replace("guide", "f0")) for time, name in events_of(found)]
+    assert [name for _, name in events] == [name for _, name in wanted]
+    assert [time for time, _ in events] == pytest.approx([t for t, _ in wanted], abs=PLASTIC)
+    assert {"stick f0", "slip f0 up", "zeno", "release"} <= {name for _, name in events}
+
+
+def test_the_hammer_strikes_once_per_period_and_forgets_as_its_multiplier_says() -> None:
+    problem = zo.load_problem("guided_hammer")
+    orbit = zo.find_orbit_by_shooting(problem).unwrap()
+    period = 2 * math.pi / problem.values().numbers["omega"]
+    assert orbit.period == pytest.approx(period, rel=1e-14)
+    largest, *others = zo.floquet_multipliers(orbit, problem=problem).values
+    assert others == [0.0, 0.0]
+    assert zo.verify(orbit, problem=problem).passed
+    motion = zo.simulate(problem, start={"hammer": 0.012, "cosine": 1.0}, until=7 * period)
+    late = np.diff([one.time for one in motion.releases]) - period
+    assert late[5] / late[4] == pytest.approx(largest.real, rel=1e-3)
 
 
 @pytest.mark.slow

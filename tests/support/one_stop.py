@@ -27,5 +27,6 @@ GRAPHS = {
     "shaken_block": 12.0,
     "sticking_pendulum": 4.0,
     "stick_slip": 30.0,
+    "guided_hammer": 1.0,
 }
 """The bundled problems with several stops or switches, and a time with their events [s]."""
