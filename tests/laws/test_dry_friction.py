@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -153,6 +154,55 @@ def test_the_pendulum_with_friction_begins_at_the_one_without() -> None:
     assert orbit.period < without.period
     certificate = zo.verify(orbit)
     assert certificate.passed, certificate.verdict()
+
+
+def coulomb_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+    """Return `motor_pendulum` with one friction in its gear, slipping or sticking."""
+    smooth = zo.load_problem("motor_pendulum").model(p)
+    links = smooth.mechanism
+    gear = zo.DryFriction("gear", rate=links.v[0], torque=p["T_gear"])
+    return zo.hybrid_system(links, (smooth.drive, gear), p["restitution"])
+
+
+def sticks_at_last(motion: zo.Execution) -> bool:
+    """Return True if the gear has not moved for the last tenth of a motion."""
+    last = motion.switches[-1]
+    return last.name == "stick gear" and last.time < 0.9 * motion.end_time
+
+
+@pytest.mark.slow
+def test_the_family_in_the_friction_ends_where_simulations_come_to_rest() -> None:
+    known = zo.load_problem("sticking_pendulum")
+    kept = tuple(one for one in known.parameters if one.name != "T_static")
+    problem = replace(known, name="coulomb_pendulum", model=coulomb_model, parameters=kept)
+    orbit = zo.find_orbit_by_shooting(problem).unwrap()
+    (family,) = zo.continue_orbit(orbit, ("T_gear", 0.0, 0.1), problem=problem).families
+    (fold,) = (one for one in family.special if one.kind is zo.SpecialPointKind.FOLD)
+    assert family.first is not None
+    assert family.first.at.value == 0.0
+    assert family.first.at.period == pytest.approx(1.81371293903044, rel=1e-10)
+
+    def moved(torque: float, start: Mapping[str, float], until: float) -> zo.Execution:
+        return zo.simulate(problem, parameters={"T_gear": torque}, start=start, until=until)
+
+    stable = [one for one in family.points if one.value > 0.0 and abs(one.multipliers[0]) < 0.8]
+    assert len(stable) > 10
+    for point in stable[::3]:
+        *_, before, last = moved(point.value, {"theta1": 1.2}, 100.0).releases
+        assert last.time - before.time == pytest.approx(point.period, rel=1e-6)
+    # Below the fold it swings on. Beyond it the gear sticks at last, while the knee may swing.
+    assert not sticks_at_last(moved(0.99 * fold.at.value, {"theta1": 1.2}, 200.0))
+    assert sticks_at_last(moved(1.01 * fold.at.value, {"theta1": 1.2}, 600.0))
+    # The unstable orbits are the border: a little less comes to rest, a little more swings.
+    border = [one for one in family.points[fold.index + 1 :] if one.multipliers[0].real > 1.3]
+    for point in border[:: max(1, len(border) // 3)]:
+        start = {name: x for name, x in point.state.items() if name != "side_gear"}
+        less, more = (
+            moved(point.value, {name: size * x for name, x in start.items()}, 100.0)
+            for size in (0.99, 1.01)
+        )
+        assert sticks_at_last(less)
+        assert not sticks_at_last(more)
 
 
 def kicked_model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
