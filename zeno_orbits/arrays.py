@@ -73,7 +73,7 @@ ROUNDED = 1e-9
 def eigenvalues(matrix: Array) -> tuple[complex, ...]:
     r"""Return the eigenvalues of a square matrix, the largest in modulus first.
 
-    Eigenvalues below rounding are zero. Their number is that of the directions that powers of the
+    Eigenvalues below rounding are zero. Their number is the number of directions that powers of the
     matrix send to zero. The eigenvalues of a rounded Jordan block would be roots of the rounding.
     """
     values = sorted(np.linalg.eigvals(matrix), key=lambda value: (-abs(value), -value.imag))

@@ -163,7 +163,7 @@ class TranslationError(InputError):
 
 
 class TableProofError(TranslationError):
-    """A formula looks up a table, for which proofs have no rule."""
+    """A formula looks up a table, for which proofs lack a rule."""
 
     def __init__(self, table: str) -> None:
         super().__init__("call")
@@ -174,7 +174,7 @@ class TableProofError(TranslationError):
 
 
 class SpeedLawError(TranslationError):
-    """A restitution depends on the impact speed, for which proofs have no lemma."""
+    """A restitution depends on the impact speed, for which proofs lack a lemma."""
 
     def __init__(self) -> None:
         super().__init__("impact_speed")

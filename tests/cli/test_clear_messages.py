@@ -202,7 +202,7 @@ def test_the_orbit_of_an_own_problem_is_continued_with_its_file(tmp_path: Path) 
     ("content", "told"),
     [
         ('{"a": 1', "it is not complete JSON"),
-        ("{}", "it has none. `continue --parameter2 ... -o FILE` writes boundary files."),
+        ("{}", "curves are missing. `continue --parameter2 ... -o FILE` writes boundary files."),
     ],
 )
 def test_a_broken_file_of_boundaries_is_named(content: str, told: str) -> None:

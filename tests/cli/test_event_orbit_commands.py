@@ -294,7 +294,7 @@ def test_search_says_no_if_no_orbit_keeps_a_bound() -> None:
     "options",
     [
         (["--objective", "impacts=roof"], "--objective", "`roof`"),
-        (["--objective", "energy"], "--objective", "no source of energy"),
+        (["--objective", "energy"], "--objective", "lacks a source of energy"),
         (["--objective", "peak=hight"], "--objective", "Did you mean `height`"),
         (["--bounds", "hight=:1"], "--bounds", "Did you mean `height`"),
         (["--bounds", "roof.impact_speed=1:"], "--bounds", "stop.impact_speed"),

@@ -73,7 +73,7 @@ def test_a_power_law_is_supported_with_its_values() -> None:
 def test_a_constant_restitution_needs_no_further_parameter(scatter: float) -> None:
     found = _compared(_recorded(lambda _: 0.8, seed=7, scatter=scatter))
     assert found.best.law == "constant"
-    assert "need no further parameter" in found.verdict
+    assert "without a further parameter" in found.verdict
     (one,) = found.best.found.fitted
     assert one.low < 0.8 < one.high
 

@@ -332,7 +332,7 @@ def test_settled_recordings_are_still_compared_with_orbits() -> None:
     ("given", "message"),
     [
         ({"initial": ["hight"]}, "Did you mean `height`?"),
-        ({"initial": ["clock"]}, "the problem has no clock"),
+        ({"initial": ["clock"]}, "the problem lacks a clock"),
         ({"start": {"hight": 1.0}}, "Did you mean `height`?"),
         ({"transient": False, "start": {"height": 1.0}}, "Argument `start` needs transients"),
     ],

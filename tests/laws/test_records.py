@@ -221,7 +221,7 @@ def test_a_record_is_read_in_si_units(tmp_path: Path) -> None:
     assert found.samples == pytest.approx([0.0, 0.005, -0.003])
     for column, unit, words in (
         ("ground", "m/s^2", r"column `ground` has `m`, and the input is in `m/s\^2`"),
-        ("floor", "m", "no column named `floor`"),
+        ("floor", "m", "the column `floor` is missing"),
     ):
         with pytest.raises(DataFileError, match=words):
             zo.read_record(path, column, unit=unit)

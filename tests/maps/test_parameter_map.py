@@ -482,8 +482,8 @@ def test_curves_of_a_family_file_are_read_whichever_way_round(tmp_path: Path) ->
     ("text", "reason"),
     [
         ("no JSON", "not complete JSON"),
-        ("{}", "it has none"),
-        ('[{"name": "fold"}]', "it has none"),
+        ("{}", "curves are missing"),
+        ('[{"name": "fold"}]', "curves are missing"),
         ('[{"name": "f", "parameters": ["a", "b"], "x": [], "y": []}]', "none over m and e"),
     ],
 )

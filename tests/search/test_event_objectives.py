@@ -415,7 +415,7 @@ def test_a_machine_without_a_source_has_no_energy_to_save() -> None:
         {"objective": zo.MinEnergy()},
         {"bounds": [zo.Bound(name="energy", upper=1.0)]},
     ):
-        with pytest.raises(zo.InputError, match="no source of energy"):
+        with pytest.raises(zo.InputError, match="lacks a source of energy"):
             zo.search_event_gains("hopper", vary={"a": (10.0, 30.0)}, **options)
 
 

@@ -37,7 +37,7 @@ def design_feedback(
         inputs: Gains and parameters that are held from return to return, with their ranges. The
             default range is the declared one.
         problem: The orbit's problem. The default is the bundled problem of its name.
-        section: Event at which the inputs are set. The default is the one at which the orbit
+        section: Event at which the inputs are set. The default is the event at which the orbit
             starts.
         method: ``lqr`` minimizes the sum of squares of inputs and states, ``place`` gives the loop
             `multipliers`, and ``deadbeat`` gives it multipliers zero.
@@ -75,7 +75,7 @@ def stabilize(
     Args:
         found: The families.
         inputs: Gains and parameters that are set at each return.
-        problem: The problem of the families. The default is the one that they record.
+        problem: The problem of the families. The default is the problem that they record.
         on_progress: Called with the stage and the part of it that is done.
 
     Raises:

@@ -301,7 +301,7 @@ def as_orbit(orbit: Orbit | str | Path, problem: Named | None = None) -> Orbit:
 
     Args:
         orbit: The orbit, or its file.
-        problem: The problem that is given beside it.
+        problem: The problem that is given with it.
 
     Raises:
         InputError: If the orbit passes further modes. The message names the cause.
@@ -328,7 +328,7 @@ def problem_or_orbit(
 
     Args:
         word: A problem's name or file, or an orbit's file. An orbit gives its own values.
-        numbers: Name to value, which override those of the orbit.
+        numbers: Name to value, which override the values of the orbit.
         file: File of the orbit's problem.
 
     Returns:

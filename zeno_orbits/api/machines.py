@@ -75,11 +75,11 @@ def describe_recording(
 
     Args:
         recording: The file.
-        columns: What is known of its columns beside their titles.
+        columns: What is known of its columns in addition to their titles.
         problem: The problem whose signals are sought. The default is any.
 
     Raises:
-        DataFileError: If the file is no table of values.
+        DataFileError: If the file is not a table of values.
         InputError: If the notes name a column that the file does not have.
     """
     from zeno_orbits.experiment import describe_recording as describe
@@ -207,7 +207,7 @@ def compare_laws(
     t_end: float | None = None,
     on_progress: Progress = silent,
 ) -> LawComparison:
-    """Return laws of impact, each fitted to the same transients, and the one that they support.
+    """Return laws of impact, each fitted to the same transients, and the law that they support.
 
     The laws are ``constant``, ``linear`` in the impact speed and a ``power`` of it, capped below 1.
 
@@ -347,7 +347,7 @@ def labelled_recordings(
         on_progress: Called with the stage.
 
     Raises:
-        InputError: If there are none.
+        InputError: If recordings are missing.
     """
     from zeno_orbits.experiment import Recording
 
@@ -367,7 +367,7 @@ def labelled_recordings(
 def read_second_file(
     problem: Problem, second: Recording | str | Path | None, on_progress: Progress = silent
 ) -> SecondFile | None:
-    """Return a second file of a motion, which was read, or ``None`` if there is none.
+    """Return a second file of a motion, which was read, or ``None`` without it.
 
     Args:
         problem: The problem.
@@ -836,7 +836,7 @@ def _instrument_errors(
     """Return the errors of instruments that a comparison determines.
 
     Raises:
-        InputError: If a name is that of no such error.
+        InputError: If a name is not the name of such an error.
     """
     found = _unknowns(problem, values, fit, transient=True)
     for one in found:

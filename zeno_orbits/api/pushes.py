@@ -115,7 +115,7 @@ def scatter(
 ) -> Scatter:
     """Return the scatter of an orbit whose restitution differs from impact to impact.
 
-    It consists of standard deviations to first order, by exact derivatives, beside those of many
+    It consists of standard deviations to first order, by exact derivatives, and of those of many
     simulated periods, and of the mean number of periods until a motion leaves the orbit.
 
     Args:

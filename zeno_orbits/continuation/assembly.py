@@ -236,7 +236,7 @@ _OF_RETURN = (MarginKind.AMPLITUDE, MarginKind.FREQUENCY, MarginKind.STALL)
 _STOP = "stop"
 """Name of the only stop of a machine that gives it no name."""
 _WITHOUT_NAMES = ((f"impact {_STOP}",), (f"zeno {_STOP}", f"release {_STOP}"))
-"""Event sequences whose margins need no names of events."""
+"""Event sequences whose margins are found without names of events."""
 
 
 def _entering(kind: SpecialPointKind, name: str) -> str:

@@ -38,7 +38,7 @@ class HeldPoint:
             values of the coordinates. NaN without a feedback.
         held_radius: The same radius with the feedback.
         gain: Matrix of the feedback, ``(m, d)``, empty without one.
-        reason: Why the orbit has no feedback, or an empty text.
+        reason: Why the orbit lacks a feedback, or an empty text.
     """
 
     value: float
@@ -164,7 +164,7 @@ def held_families(
 def _held_point(
     problem: Problem, family: Family, point: FamilyPoint, names: tuple[str, ...]
 ) -> HeldPoint:
-    """Return a repelling orbit with its feedback, or the reason why it has none."""
+    """Return a repelling orbit with its feedback, or the reason why the feedback is missing."""
     reason, gain, effort, radius = "", np.zeros((0, 0)), np.nan, np.nan
     numbers = {**family.gains, **family.parameters, family.parameter: point.value}
     try:

@@ -71,8 +71,8 @@ does not cross zero loses two events, which meet before.
 _LATER = (MarginKind.RELEASE_RATE, MarginKind.SWITCH_RATE, MarginKind.EVENTS)
 """Margins whose consequences are at the next event."""
 _BESIDE = (MarginKind.OPENING, MarginKind.SWITCH_MISS)
-"""Margins that are no cause where an event of the event sequence is lost. A kink of a speed is near
-zero at an impact that grazes."""
+"""Margins that are not the cause if an event of the event sequence is lost. A kink of a speed is
+near zero at an impact that grazes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -229,7 +229,7 @@ class PeriodTable:
         return (time - self.zero) % (self.turn or self.period)
 
     def parts(self, phases: Vector) -> dict[str, NDArray[np.bool_]]:
-        """Return the parts of the period, as masks of phases. The whole period has no name.
+        """Return the parts of the period, as masks of phases. The whole period lacks a name.
 
         Args:
             phases: Phases in periods from the start, ``(n,)``.

@@ -65,7 +65,7 @@ class CellTable:
         is_kinked: Whether a knot is an event. The first four columns then describe the guard of a
             cell: its knot and the coefficients of a parabola there; of phases, cosine and sine of
             the middle, and tangent and cotangent of a quarter of the cell.
-        refuses: Whether a value outside of the knots has no cell. Else an outer cell goes on.
+        refuses: Whether a value outside of the knots lacks a cell. Else an outer cell goes on.
         turns: Whether the knots are phases of a turn [rad], from 0 to 2 pi.
     """
 
@@ -250,7 +250,7 @@ def _kept(name: str, function: Any, lookup: Lookup) -> Any:
 
 
 def lookup_of(function: Any) -> Lookup | None:
-    """Return what a called function stands for, or ``None`` for a function that is no look-up.
+    """Return what a called function stands for, or ``None`` for any other function.
 
     Args:
         function: A `casadi.Function`.

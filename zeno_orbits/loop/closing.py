@@ -107,7 +107,7 @@ def closed_record(
         closing: The return.
 
     Raises:
-        SimulationError: If there is no orbit: the motion does not return, or is interrupted, or a
+        SimulationError: If no orbit is found: the motion does not return, or is interrupted, or a
             correction of Newton's method is not smaller than the one before.
     """
     n = program.n_x

@@ -1,6 +1,6 @@
 """The controller of a machine with held states as one C99 file: law, held states and events.
 
-It needs no memory but that of its caller, and every call takes the same instructions. Its formulas
+It uses only the memory of its caller, and every call takes the same instructions. Its formulas
 are those of the machine, operation by operation, so that all digits are equal.
 """
 
@@ -40,7 +40,7 @@ class ExportedController:
         guards: ``(x, p) -> (guards, formulas armed)`` of the switches at which states are set.
         resets: ``(x, p) -> x`` after each of these switches.
         voltage: ``(x, p) -> voltages`` of all motors.
-        persists: Duration from which a contact is no bounce [s].
+        persists: Duration from which a contact persists [s].
     """
 
     name: str
@@ -65,7 +65,7 @@ def controller_of(
         problem: The machine.
         values: Values of its gains and parameters.
         state: Start, with the values that are held until the first event, ``(n_x,)``.
-        persists: Duration from which a contact is no bounce [s].
+        persists: Duration from which a contact persists [s].
 
     Raises:
         InputError: If no event sets a held state.

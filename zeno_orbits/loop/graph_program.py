@@ -32,7 +32,7 @@ class GraphFormulas:
         n_stops: Number of stops.
         n_declared: Number of declared switches.
         n_switches: Number of declared switches and kinks.
-        n_frictional: Number of the last declared switches, those of dry friction.
+        n_frictional: Number of the last declared switches, which belong to dry friction.
         switches: ``(x, p, sizes, sides) -> (formulas of all switches, their sizes, formulas
             `armed`)``, with dry friction as `CompiledGraph.switches`.
         delassus: ``(x, p) -> J W J^T`` of all stops, by which an impact opens stops.
@@ -133,7 +133,7 @@ class GraphProgram(TapedProblem):
         """Compile formulas of views now and use them from the next run.
 
         Args:
-            views: The formulas, those of all modes as a rule.
+            views: The formulas, usually of all modes.
 
         Raises:
             KernelError: If the compilation fails. The message contains the reason.

@@ -165,7 +165,7 @@ def _found() -> tuple[Any, str]:
 def _installed() -> Path | None:
     """Return the library that was built with this package, or with an installed one of one digest.
 
-    Python runs code of every folder on its path, so their libraries need no other trust.
+    Python runs code of every folder on its path, so their libraries need no further trust.
     """
     name = library_name()
     folders = (Path(entry) / "zeno_orbits" / "loop" for entry in sys.path)

@@ -264,7 +264,7 @@ def _looked_up(
     """Return the results of a call, which is a look-up.
 
     Raises:
-        UnknownOperationError: If it is none.
+        UnknownOperationError: If it is unknown.
     """
     function, lookup = called(node)
     if lookup is None:

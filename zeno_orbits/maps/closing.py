@@ -87,7 +87,7 @@ def orbit_by_loop(
         starts: Events at which a period starts, the best first.
 
     Raises:
-        SimulationError: If there is no orbit nearby.
+        SimulationError: If no orbit is found nearby.
         LinAlgError: If the eigenvalues of its return do not converge.
     """
     if not graph.has_one_guard or not starts or mode != _mode_after(graph, section):

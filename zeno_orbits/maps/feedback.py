@@ -160,11 +160,11 @@ class Feedback(TableRepr):
 
         Args:
             file: A problem file to write, from which the problem is loaded. Results name it, and
-                workers load it. By default the problem has no file.
+                workers load it. By default the problem lacks a file.
 
         Raises:
             InputError: If the event occurs more than once in a period, an input may not depend on
-                time, the file cannot be written, or the problem itself has no file.
+                time, the file cannot be written, or the problem itself lacks a file.
         """
         known = self.returns
         if known.n_events != 1:
@@ -189,7 +189,7 @@ class Feedback(TableRepr):
             raise InputError(f"Argument `file` must name a Python file, such as {path.stem}.py.")
         if word is None:
             raise InputError(
-                f"Argument `file`: `{known.problem.name}` has no file of its own to refer to."
+                f"Argument `file`: `{known.problem.name}` lacks a file of its own to refer to."
             )
         changed = {
             one.name: values[one.name]

@@ -97,9 +97,9 @@ def read_boundaries(path: Path, x: str, y: str) -> tuple[Boundary, ...]:
         curves = cast("list[Mapping[str, Any]]", data)
         found = [boundary for curve in curves if (boundary := _boundary_of(curve, x, y))]
     except (ValueError, KeyError, TypeError) as error:
-        raise BoundaryFileError(path, "it has none") from error
+        raise BoundaryFileError(path, "curves are missing") from error
     if not found:
-        raise BoundaryFileError(path, f"it has none over {x} and {y}")
+        raise BoundaryFileError(path, f"curves over {x} and {y} are missing")
     return tuple(found)
 
 

@@ -148,7 +148,7 @@ class ParameterMap(TableRepr):
         """Return a value of every attractor by its name in ``Attractor``, ``(n_y, n_x)``.
 
         Raises:
-            InputError: If an attractor has no number of this name.
+            InputError: If an attractor lacks a value of this name.
         """
         try:
             values = [float(getattr(attractor, name)) for attractor in self.attractors]

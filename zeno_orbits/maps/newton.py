@@ -88,7 +88,7 @@ def orbit_near(
     accuracy: Accuracy,
     starts: Sequence[str] = (),
 ) -> ClosedOrbit | None:
-    """Return the orbit near a state of a section, or ``None`` if there is none.
+    """Return the orbit near a state of a section, or ``None`` if none is found.
 
     Args:
         graph: The graph of modes.

@@ -493,7 +493,7 @@ class Point:
         return [self._graph.stop_names[k] for k in closed]
 
     def _where(self, stops: Sequence[str]) -> str:
-        """Return the stops of permanent contact as text. A single stop needs no name."""
+        """Return the stops of permanent contact as text. A single stop is not named."""
         if not stops or len(self._graph.stop_names) == 1:
             return ""
         return f"contact on {', '.join(f'`{name}`' for name in stops)}"

@@ -483,7 +483,7 @@ def push_units(
 def _require_direction(
     direction: Mapping[str, float], names: tuple[str, ...], argument: str
 ) -> None:
-    """Refuse unknown coordinates, no length, and a length whose square is no double."""
+    """Refuse unknown coordinates, no length, and a length whose square is not a double."""
     for name in direction:
         if name not in names:
             raise InputError(unknown(argument, name, names))

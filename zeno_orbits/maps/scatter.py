@@ -388,7 +388,7 @@ def _linear_model(
 
 
 def _stacked(columns: Sequence[Vector], height: int) -> Vector:
-    """Return columns side by side, also if there are none."""
+    """Return columns side by side, also of an empty list."""
     return np.array(columns).T if columns else np.zeros((height, 0))
 
 

@@ -123,7 +123,7 @@ class ScatteredMotion:
         raise LostError("the motion does not return within four periods")
 
     def _leg(self, way: _Way) -> Execution:
-        """Return the motion to the next impact. A switch is no start: its guard is zero there."""
+        """Return the motion to the next impact. It starts at no switch: the guard is zero there."""
         left = _PATIENCE * self.period - way.time
         if not left > 0.0:
             raise LostError("the motion does not return within four periods")

@@ -252,7 +252,7 @@ def _derivatives(
 def _first_infinite(
     formula: ca.SX, inputs: list[ca.SX], x: Vector, p: Vector, before: Vector | None = None
 ) -> tuple[Any, list[float]] | None:
-    """Return the first operation that is not finite with its operands, or None if there is none.
+    """Return the first operation that is not finite with its operands, or None if all are finite.
 
     Args:
         formula: The formula.

@@ -186,7 +186,7 @@ class _Rows:
         return _Held(contacts=forces[:n], lifts=left[:n], forces=forces[n:], pulls=left[n:])
 
     def needed_at_once(self, part: int) -> ca.SX:
-        """Return the force that a part needs to stick, with all that is held beside it."""
+        """Return the force that a part needs to stick, with all other held parts."""
         sides = ca.SX(self.drive.sides)
         sides[part] = 0
         return self.held((1,) * self.contact.numel(), sides).forces[part]

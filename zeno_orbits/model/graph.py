@@ -210,7 +210,7 @@ def _with_holds(
     """Return the switches with one for each event of a stop that sets states, and their causes.
 
     Raises:
-        ValueError: If the machine has no such event.
+        ValueError: If the machine lacks the event.
     """
     events = [f"switch {switch.name}" for switch in switches]
     known = [f"{kind} {stop.name}" for stop in stops for kind in ("impact", "zeno", "release")]

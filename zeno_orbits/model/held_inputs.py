@@ -117,7 +117,7 @@ def held_file(
 
 
 def _python(value: Any) -> str:
-    """Return a value as Python has it. Infinite numbers have no literal."""
+    """Return a value as Python has it. Python lacks literals of infinite numbers."""
     if isinstance(value, dict):
         rows = cast("dict[str, Any]", value)
         return "{" + ", ".join(f'"{one}": {_python(x)}' for one, x in rows.items()) + "}"
@@ -247,7 +247,7 @@ def _held(base: CompletedSystem, at: str, states: ca.SX, after: ca.SX) -> Comple
     part: Hold | Auxiliary = Hold(states=states, at=at, after=after)
     if kind == "switch":
         if name not in [switch.name for switch in switches]:
-            raise InputError(f"Argument `at`: a kink has no reset, so no states are set at `{at}`.")
+            raise InputError(f"Argument `at`: `{at}` is a kink, which sets no states.")
         # The law holds for the state before the switch, the section's own.
         part = Auxiliary(states=states, rate=ca.SX.zeros(states.numel()))
         own = base.drive.states

@@ -96,7 +96,7 @@ class HybridLagrangian:
             applied_force: External forces, ``(n_q,)``, as functions of ``(q, v)`` and the clock, by
                 default absent. Their work counts as input.
             clock: The clock whose states the forces hold, if they change with time.
-            stops: Stops with names, in place of ``gap``. Without both, the mechanism has no stop.
+            stops: Stops with names, in place of ``gap``. Without both, the mechanism moves freely.
 
         Returns:
             The mechanism.

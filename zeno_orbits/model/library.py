@@ -122,7 +122,7 @@ class RecordedFile:
 
     @classmethod
     def of(cls, problem: Problem) -> RecordedFile | None:
-        """Return the file of a problem, or None if it is bundled or has no file."""
+        """Return the file of a problem, or None if it is bundled or lacks a file."""
         if problem.origin is None:
             return None
         word, _ = split_fidelity(getattr(problem.origin.file, "word", ""))
@@ -247,7 +247,7 @@ def recorded_problem(
 def _found(name: str, said: str, file: RecordedFile | None) -> Problem:
     """Return the problem of a recorded file, or without one the bundled problem of a name.
 
-    A result that records a file belongs to that file, even if its name is that of a bundled one.
+    A result that records a file belongs to that file, even if a bundled problem has its name.
 
     Raises:
         InputError: If there is neither.

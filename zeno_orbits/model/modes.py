@@ -116,7 +116,7 @@ class ModeGraph:
 
     @property
     def frictional(self) -> range:
-        """Indices of the switches of its parts with dry friction, the last declared ones."""
+        """Indices of the switches of its parts with dry friction, the last declared switches."""
         n = len(self.switches)
         return range(n - PER_PART * self.n_frictions, n)
 

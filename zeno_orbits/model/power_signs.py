@@ -4,7 +4,7 @@ Damping takes :math:`-v^\top (F(q, v) - F(q, 0)) \ge 0`, resistances take :math:
 and a motor takes as much electrical power :math:`i^\top K_\omega w` as it returns in torque,
 :math:`w^\top K_\varphi\,i`, if :math:`K_\omega = K_\varphi^\top` (theory (1.10)). Constants are
 compared by form. Other formulas are evaluated at states: a supply that is found is a fact, and one
-that is not found is no proof.
+that is not found proves nothing.
 """
 
 from __future__ import annotations

@@ -196,7 +196,7 @@ class Problem(Declared):
             symbols: Gains and parameters by name.
 
         Raises:
-            InputError: If the machine has no stop, several stops or a declared switch.
+            InputError: If the machine lacks a stop, or has several stops or a declared switch.
         """
         system = self.model(symbols)
         graph = system.graph
@@ -680,7 +680,7 @@ class Problem(Declared):
             values: Values of every gain and parameter.
 
         Raises:
-            InputError: If there is none. The message is about the first one.
+            InputError: If every start is refused. The message is about the first start.
         """
         found: list[tuple[float, ...]] = []
         refusal: InputError | None = None

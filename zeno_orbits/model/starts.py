@@ -37,7 +37,7 @@ def require_starts(starts: Any, states: Collection[str]) -> None:
         states: Names of the states.
 
     Raises:
-        InputError: If there is no start, or a start is not a mapping of states.
+        InputError: If starts are missing, or a start is not a mapping of states.
     """
     if not isinstance(starts, tuple | list):
         wanted = 'must be a tuple of mappings, as ({"q": 1.0},) is'

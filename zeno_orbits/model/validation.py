@@ -149,7 +149,7 @@ def _forgotten(system: CompletedSystem, state_names: Sequence[str]) -> str:
         return ""
     words = ", ".join(f"`{name}`" for name in state_names if name in strangers)
     return (
-        f" The formulas use {words}, which is no state of the mechanism or drive. Pass a clock to "
+        f" The formulas use {words}, not a state of the mechanism or drive. Pass a clock to "
         "the mechanism, as `clock=clock`."
     )
 

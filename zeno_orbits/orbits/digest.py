@@ -104,7 +104,7 @@ def other_equations(digest: Sequence[float], problem: Problem) -> str:
     """Return the clause that an orbit's digest belongs to other equations, or no text.
 
     Args:
-        digest: Digest of the orbit, empty if its file has none.
+        digest: Digest of the orbit, empty if its file lacks it.
         problem: The problem.
     """
     if not digest or same_equations(digest, digest_of(problem)):

@@ -166,7 +166,7 @@ class Orbit(TableRepr):
         """Name of the event at which the period starts and ends.
 
         Raises:
-            InputError: If there is no event.
+            InputError: If events are missing.
         """
         if not self.events:
             raise InputError("Argument `orbit` must have an event, but its list is empty.")

@@ -58,7 +58,7 @@ def true_landmarks(dynamics: HybridDynamics, state: Sequence[float], until: floa
 
     Raises:
         InputError: If the state is not admissible or the horizon not a positive number.
-        ZenoOrbitsError: If the execution has no event, or it cannot be followed.
+        ZenoOrbitsError: If the execution lacks events, or cannot be followed.
     """
     if not 0.0 < until < math.inf:
         wanted = "must be a finite, positive number of seconds"

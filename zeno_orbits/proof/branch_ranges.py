@@ -75,7 +75,7 @@ class BranchPoint:
         state: States at the section, in the order of the problem.
         slope: Derivative of the states with respect to the parameter.
         period: Period [s].
-        width: Half-width of the last range, 0 if there is none.
+        width: Half-width of the last range, 0 before the first range.
         spread: Largest distance of the fixed points of that range from its middle, for each state.
     """
 

@@ -21,7 +21,7 @@ class ProvedRange:
     Attributes:
         low: Lower end of the parameter, exactly.
         high: Upper end.
-        stability: 1 for stable fixed points, -1 for unstable ones, 0 if neither is proved.
+        stability: 1 for stable and -1 for unstable fixed points, 0 if neither is proved.
         n_records: Number of inclusions.
     """
 
@@ -125,12 +125,12 @@ class BranchProof:
 
     @property
     def low(self) -> Fraction:
-        """Lower end of the proved interval: that of the request, if it is reached."""
+        """Lower end of the proved interval: the requested end, if it is reached."""
         return max(self.ranges[0].low, Fraction(self.asked[0]))
 
     @property
     def high(self) -> Fraction:
-        """Upper end of the proved interval: that of the request, if it is reached."""
+        """Upper end of the proved interval: the requested end, if it is reached."""
         return min(self.ranges[-1].high, Fraction(self.asked[1]))
 
     @property
@@ -145,7 +145,7 @@ class BranchProof:
         return sum(one.n_records for one in self.ranges)
 
     def with_special_points(self, points: Sequence[tuple[str, float]]) -> BranchProof:
-        """Return the proof with the nearest special point beside each early end.
+        """Return the proof with the nearest special point next to each early end.
 
         Args:
             points: Kind and value of the special points of a continuation.

@@ -71,7 +71,7 @@ def search_event_orbits(
         seed: Seed of these values, and of the initial states of several orbits.
         candidates: Number of different orbits that are searched, and ranked.
         method: How the optimum is found.
-        accept: Check of the orbits. Only accepted orbits are ranked. By default there is no check.
+        accept: Check of the orbits. Only accepted orbits are ranked. The default accepts all.
         simulation: Accuracy.
         on_progress: Called with the stage.
         spread: Workers for the starts after the first. By default all starts run in this process.

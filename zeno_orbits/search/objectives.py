@@ -734,7 +734,7 @@ def check_uncertain(
 
     Raises:
         InputError: If there are too many ranges, a name is unknown or free, a range is empty, or a
-            corner has no valid parameters.
+            corner has invalid parameters.
     """
     from zeno_orbits.model import unknown
 

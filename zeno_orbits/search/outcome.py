@@ -103,7 +103,7 @@ class StartOutcome:
         shortfall: Remaining distance from a target, or violation of the bounds in units of their
             sizes.
         solution: The simulated orbit, if there is one. Other processes do not receive it.
-        is_last: True if the orbit is the last one before the end of a family.
+        is_last: True if the orbit is the last before the end of a family.
         candidate: The orbit with its measured quantities, if it was accepted.
         result: The result of the search from the start without its orbit, if there was an orbit.
     """

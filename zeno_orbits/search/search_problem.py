@@ -30,7 +30,7 @@ class SearchProblem:
         near: A known orbit to start from.
         shape: The shape of the orbit. By default any shape is accepted.
         initial_states: Initial states of the simulations that find orbits, name to value. If it is
-            empty, they are those of the problem.
+            empty, they are the problem's own.
         order: Indices of the scan points at which it starts, in order. ``None`` before a scan.
         settings: Limits and tolerances of the search.
         on_progress: Receives progress reports.

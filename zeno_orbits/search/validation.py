@@ -196,7 +196,7 @@ def check_bounds(graph: GraphDynamics, bounds: Sequence[Bound]) -> None:
 def _require_source(compiled: CompiledGraph, argument: str, what: str) -> None:
     if not has_source(compiled):
         raise InputError(
-            f"Argument `{argument}` asks for {what}, but the machine has no source of energy: "
+            f"Argument `{argument}` asks for {what}, but the machine lacks a source of energy: "
             "give its drive an `input_power`, or ask for another quantity."
         )
 

@@ -49,7 +49,7 @@ class Ending(Enum):
 
 
 def named(names: Sequence[str], stops: Iterable[int]) -> tuple[str, ...]:
-    """Return the names of stops. A stop without a name is the only one, and needs none.
+    """Return the names of stops. A stop without a name is the only stop.
 
     Args:
         names: Name of each stop.
@@ -330,7 +330,7 @@ class Execution(TableRepr):
             n_per_arc: Samples at least, of every arc.
 
         Raises:
-            InputError: If there is no sample.
+            InputError: If samples are missing.
         """
         require_counts(n_per_arc=n_per_arc)
         times, states = zip(*(arc.sampled(n_per_arc) for arc in self.arcs), strict=True)

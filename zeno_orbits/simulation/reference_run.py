@@ -169,7 +169,7 @@ class _AlongArc:
 
     @property
     def is_carried(self) -> bool:
-        """False: the guard is no state in addition to its formula."""
+        """False: the guard is a formula, not a further state."""
         return False
 
     def guard_bounds(self, lower: Vector, upper: Vector) -> Sequence[float]:
@@ -242,7 +242,7 @@ class ReferenceRun(StopRun):
 
         Args:
             task: The simulation task.
-            engine: Integrator of the arcs, by default that of the settings.
+            engine: Integrator of the arcs, by default the integrator of the settings.
         """
         graph, chosen = task.graph, task.settings
         follower = ArcFollower(
@@ -440,7 +440,7 @@ class ReferenceRun(StopRun):
         """Return the event of the stop that the run looks at as one that ends its arc early.
 
         Raises:
-            AssertionError: If the arc has no flow.
+            AssertionError: If the arc lacks a flow.
         """
         if arc.trajectory is None:
             raise AssertionError("An arc that ends at a guard has a flow.")
@@ -544,7 +544,7 @@ class ReferenceRun(StopRun):
             x: State there, ``(n_x,)``.
             kind: Kind of the guard.
             index: Index of the stop or switch.
-            rate: Gap rate of the stop, by default that of the state.
+            rate: Gap rate of the stop, by default of the state.
             scaled: Scaled gap and its rate, if the arc is a rescaled flight.
         """
         closed = self._closed(start)
@@ -650,7 +650,7 @@ class ReferenceRun(StopRun):
             approach_rate: Gap rate before it.
 
         Returns:
-            The start of the contact at the last limit, or ``None`` if there are no such stops, or
+            The start of the contact at the last limit, or ``None`` if such stops are missing, or
             the limits are not determined.
         """
         if not -_SLOW * self.own.gap_rate <= approach_rate < 0.0:
@@ -1096,7 +1096,7 @@ class ReferenceRun(StopRun):
     ) -> tuple[Kind, int]:
         """Return the event at the end of an arc, of all events whose guards are zero there.
 
-        A switch that is not armed, or rises, is no event. A kink changes no state, and an impact
+        A switch that rises, or is not armed, is not an event. A kink changes no state: an impact
         does not depend on it: its side is taken after the impact. Impacts on stops that are not
         coupled change nothing for each other, so their order has no effect, nor has that of kinks
         that leave the flow as it is, nor has that of stops that open in every order. A kink comes

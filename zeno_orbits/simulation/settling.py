@@ -133,7 +133,7 @@ class MotionLog:
     def drift(self) -> float:
         """Return the steady change of the speed of impacts, relative and per impact, else zero.
 
-        An orbit is approached by smaller and smaller changes. Elastic impacts have none.
+        An orbit is approached by smaller and smaller changes. Elastic impacts do not slow down.
         """
         speeds = np.array(self.speeds[-_KEPT:])
         if len(speeds) < _FEW or not np.all(speeds > 0.0):

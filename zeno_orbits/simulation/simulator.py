@@ -105,7 +105,7 @@ def simulated_at_most(
 
     Raises:
         InputError: As for `simulate`.
-        SimulationError: If the execution cannot be continued, or has no event in these steps.
+        SimulationError: If the execution cannot be continued, or lacks an event in these steps.
     """
     fewer = replace(settings, most_steps=min(most_steps, settings.most_steps))
     try:

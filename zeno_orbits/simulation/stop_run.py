@@ -191,7 +191,7 @@ class StopRun(ABC):
         Args:
             time: When [s].
             x: State there, ``(n_x,)``.
-            rate: Gap rate there. If it is no larger than rounding, the stop is touched.
+            rate: Gap rate there. If it is within rounding, the stop is touched.
         """
         if abs(rate) <= self.small_rate:
             return self.on_stop(time, self.dynamics.on_stop(x))

@@ -166,7 +166,7 @@ _MOST_LISTED = 20
 
 
 def _listed(events: Sequence[str]) -> str:
-    """Return the events of an orbit, the first ones of very many."""
+    """Return the events of an orbit, or the first events of very many."""
     if len(events) <= _MOST_LISTED:
         return ", ".join(events)
     return f"{', '.join(events[:_MOST_LISTED])}, ..., {len(events)} in all"

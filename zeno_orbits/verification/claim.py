@@ -219,7 +219,7 @@ class Case:
         Args:
             orbit: The orbit.
             problem: Its problem.
-            dynamics: The machine to integrate. The default is that of the problem.
+            dynamics: The machine to integrate. The default is the problem's own.
             use_reference: True for the hand-written model of the problem as the default.
 
         Raises:

@@ -135,7 +135,7 @@ def verify(
         problem: Its problem.
         settings: Tolerance, number of periods and accuracy.
         dynamics: The machine to integrate. By default it is the problem's machine at the orbit's
-            parameter values. Powers and energies are those of the problem.
+            parameter values. Powers and energies come from the problem.
         on_progress: Called with the name of each stage as it begins.
 
     Raises:

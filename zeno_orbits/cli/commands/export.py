@@ -61,7 +61,7 @@ def add_export(commands: Any) -> None:
         "--persists",
         type=read_number,
         metavar="SECONDS",
-        help="with --controller: duration from which a contact is no bounce (default: 0.01)",
+        help="with --controller: duration from which a contact persists (default: 0.01)",
     )
     parser.add_argument(
         "--input",
@@ -121,7 +121,7 @@ def _write_controller(
     """Write the C code of the controller of a machine.
 
     Raises:
-        InputError: If the machine has no held states, or the duration is not positive.
+        InputError: If the machine lacks held states, or the duration is not positive.
     """
     import numpy as np
 

@@ -199,7 +199,7 @@ def located_near(
         test: Its test function.
 
     Raises:
-        ZenoOrbitsError: If there is no such point nearby.
+        ZenoOrbitsError: If the iteration finds no such point nearby.
     """
     here, value = start, test(start)
     other = correct(returns, metric, here.z + _NUDGE * here.tangent, here.tangent)

@@ -110,7 +110,7 @@ class FoldFlipSystem:
             along: Vector with which the tangent has a positive product, ``(n_x + 2,)``.
 
         Raises:
-            ZenoOrbitsError: If there is no point nearby.
+            ZenoOrbitsError: If the iteration finds no point nearby.
         """
         start = _seen(self, x, at)
         gradient = self._gradient(start)

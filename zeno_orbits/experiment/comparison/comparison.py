@@ -401,7 +401,7 @@ def _no_channel(table: PeriodTable) -> str:
     return "no channel was recorded"
 
 
-_NO_PHASE = "the orbit has no impacts that accumulate, by which the machine could be recognized"
+_NO_PHASE = "the orbit lacks accumulating impacts, by which the machine could be recognized"
 
 
 def _contact_evidence(

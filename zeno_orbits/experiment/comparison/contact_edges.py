@@ -109,7 +109,7 @@ def seen_contacts(time: Vector, channel: Vector) -> list[SeenContact]:
 
 
 def is_coarse(contacts: Sequence[SeenContact], step: float) -> bool:
-    """Return True if samples may miss contacts: there is none, or one or a gap has one sample.
+    """Return True if samples may miss contacts: none is seen, or one or a gap has one sample.
 
     Args:
         contacts: The contacts in order of time.

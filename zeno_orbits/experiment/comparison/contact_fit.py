@@ -52,7 +52,7 @@ _SURE = 0.5
 """Relative standard error above which a number counts as not resolved."""
 _BINS = 120
 _SIGNIFICANT = 4.0
-"""Standard deviations from which a part of the residuals that repeats is no noise."""
+"""Standard deviations from which a part of the residuals that repeats is not noise."""
 _ENDS = 4.0
 """Slope of a parabola at its ends over its height and length. A rebound off a compliant stop is no
 parabola, and the slopes at its ends are as uncertain as its shape."""

@@ -3,7 +3,7 @@ r"""Unknown gains and offsets of recorded channels, determined before a comparis
 A track in pixels has an unknown scale and zero. A channel that reads :math:`g\,y + b` is laid over
 the orbit in the orbit's own size and mean, and the regression of its samples on the orbit's values
 at the same phases gives `g` and `b`. The comparison then sees the corrected channel: its size and
-its mean are no evidence any more, but its shape is.
+its mean are not evidence any more, but its shape is.
 """
 
 from __future__ import annotations

@@ -177,7 +177,7 @@ def lay_over(
     also: Sequence[str] = (),
     channels: Mapping[str, Vector] | None = None,
 ) -> Overlay | None:
-    """Return the overlay of an orbit and a recording, or ``None`` if the recording has no period.
+    """Return the overlay of an orbit and a recording, or ``None`` if the period is not seen.
 
     Args:
         orbit: The orbit.

@@ -8,8 +8,8 @@ periods:
 .. math:: r = \frac{T_\text{rec}}{\sigma} \bigl(\varphi - t / T - s\bigr)
 
 The difference of phases is between -1/2 and 1/2. Bounces are counted from the first impact, up to
-the first one that is too short for the sampling. The recording decides how many there are, so the
-number of residuals does not change. Bounces that the orbit lacks are at its Zeno point, which is
+the first bounce that is too short for the sampling. The recording decides how many there are, so
+the number of residuals does not change. Bounces that the orbit lacks are at its Zeno point,
 their limit. A further bounce of the orbit that is longer than contacts would hide costs the excess.
 A sequence of contacts without one of the orbit, and a sequence of the orbit without contacts, cost
 as much as no orbit.
@@ -232,7 +232,7 @@ NO_CONTACTS = ContactRows()
 
 
 def _event_of(edge: SeenEdge, sequence: PlacedSequence) -> _Event | None:
-    """Return the event of an orbit that belongs to an edge, ``None`` if there is none."""
+    """Return the event of an orbit that belongs to an edge, or ``None``."""
     if edge.number is None:
         return None if sequence.release is None else _Event(*sequence.release)
     if edge.number < len(sequence.impacts):
@@ -294,7 +294,7 @@ def _rows_of(
     """Return the edges of a sequence that is in several cycles.
 
     Without a Zeno point the first impact alone counts: contacts end after an impact at a time that
-    the model with hard stops does not have. A contact that a reset ends has no release.
+    the model with hard stops does not have. A contact that a reset ends lacks a release.
     """
     accumulates = orbit.zeno is not None
     n = min(one.n_sure for one in found) if accumulates else 1

@@ -98,7 +98,7 @@ class Unknowns:
 
     @property
     def additive(self) -> tuple[bool, ...]:
-        """Mask of the unknowns whose value has no scale of its own: offsets and the clock rate."""
+        """Mask of the unknowns whose value lacks a scale of its own: offsets and the clock rate."""
         return tuple(any(one.kind is not ReadingKind.GAIN for one in own) for own in self.readings)
 
     def instruments(self, channels: Sequence[str]) -> Instruments:

@@ -56,7 +56,7 @@ class ColumnNotes:
     frame_rate: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse values of a wrong kind, a unit that is none, and a rate that is not positive."""
+        """Refuse values of a wrong kind, an unknown unit, and a rate that is not positive."""
         require_kinds(self)
         given_texts: dict[str, Mapping[Any, Any]] = {"names": self.names, "units": self.units}
         for argument, texts in given_texts.items():
@@ -109,7 +109,7 @@ def sized(name: str, text: str) -> tuple[str, float]:
         text: A unit, or a number of units.
 
     Raises:
-        InputError: If it is no unit, or no size.
+        InputError: If the unit is unknown, or its size is not positive.
     """
     found = _SIZED.fullmatch(text)
     number, unit = (found[1], found[2]) if found and found[2] else ("1", text)

@@ -30,8 +30,8 @@ class RecordingDescription:
     Attributes:
         path: The file.
         columns: Its columns.
-        recording: The recording of the columns that count, or ``None`` if there is none.
-        trouble: Reason why there is none, or empty.
+        recording: The recording of the columns that count, or ``None`` if it cannot be read.
+        trouble: Reason why it cannot be read, or empty.
         sought: Names of the signals of the problem, if one was given.
     """
 
@@ -115,11 +115,11 @@ def describe_recording(
 
     Args:
         path: The file.
-        columns: What is known of the columns beside their titles.
+        columns: What is known of the columns in addition to their titles.
         units: Units of the signals of a problem, by name.
 
     Raises:
-        DataFileError: If the file is no table of values.
+        DataFileError: If the file is not a table of values.
         InputError: If the notes name a column that the file does not have.
     """
     path, told, known = Path(path), columns or ColumnNotes(), units or {}

@@ -113,7 +113,7 @@ def _is_like(text: str, head: Head) -> bool:
 def _above_values(
     lines: Sequence[tuple[int, str]], comments: tuple[str, ...], *, untitled: bool
 ) -> Head | None:
-    """Return the header above the first lines of values, or ``None`` if there are none.
+    """Return the header above the first lines of values, or ``None`` if values come first.
 
     Args:
         lines: Number and text of each line.

@@ -224,7 +224,7 @@ def read_recording(
             ``contact.STOP``, and ``impact`` for ``impact`` and ``impact STOP``.
         units: Units of the signals that a problem has, by name. The recorded units must measure the
             same, and the file must hold one of the signals, or a name of ``families``.
-        columns: What is known of the columns beside their titles.
+        columns: What is known of the columns in addition to their titles.
 
     Raises:
         DataFileError: If the file cannot be read or parsed, or does not fit ``units``. The message
@@ -380,7 +380,7 @@ def _time_column(
     """Return the index of the column of times, or ``None`` if the rows are frames.
 
     Raises:
-        DataFileError: If there is none, or more than one.
+        DataFileError: If the file lacks one, or has more than one.
     """
     found = [k for k, one in enumerate(columns) if one.is_time]
     if len(found) == 1:

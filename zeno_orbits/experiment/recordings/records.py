@@ -47,10 +47,10 @@ def read_record(
     found = read_recording(path, only=(column,))
     signal = next((one for one in found.signals if one.name == column), None)
     if signal is None:
-        raise DataFileError(path, f"it has no column named `{column}`: check argument `column`")
+        raise DataFileError(path, f"the column `{column}` is missing: check argument `column`")
     if powers_of(signal.unit or "1") != powers_of(wanted):
         told = f"`{signal.unit}`" if signal.unit else "no unit"
         raise DataFileError(path, f"column `{column}` has {told}, and the input is in `{unit}`")
     for k in np.flatnonzero(~np.isfinite(signal.values))[:1].tolist():
-        raise DataFileError(path, f"column `{column}` has no value at {found.time[k]:g} s: fill it")
+        raise DataFileError(path, f"column `{column}` is empty at {found.time[k]:g} s: fill it")
     return record(found.time, signal.values, period=period, kind=kind, name=column)

@@ -204,7 +204,7 @@ def require_place(problem: Problem, system: CompletedSystem, rig: Rig) -> None:
         wanted = "must have its currents as states, or none at all, for a rig"
         raise InputError(f"Argument `problem` {wanted}, but `{problem.name}` corrects for them.")
     if drive.frictions:
-        wanted = "must have no dry friction of its own for a rig, which has `friction` as a part"
+        wanted = "must not declare dry friction for a rig, which has `friction` as a part"
         raise InputError(f"Argument `problem` {wanted}, but `{problem.name}` has `DryFriction`.")
     for name in rig.friction:
         if name not in coordinates:

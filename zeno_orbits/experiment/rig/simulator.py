@@ -70,7 +70,7 @@ _IN_CONTACT = 257
 _GROW, _SHORTEST = 4.0, 1e-3
 """Next window over the previous segment, and the shortest window over the problem's time."""
 _PERSISTS = 4.0
-"""Duration of a contact that is no bounce, in undamped bounces."""
+"""Duration from which a contact persists, in undamped bounces."""
 _INSIDE = 1e-9
 """Penetration over the scale of the gap from which a reset has sent the state into a stop."""
 

@@ -26,7 +26,7 @@ from zeno_orbits.arrays import Vector
 
 _MISSED, _FALSE = 12.0, 25.0
 _SCATTER = 0.04
-"""Scatter of the ratio of two flights that is no evidence of an error."""
+"""Scatter of the ratio of two flights that does not show an error."""
 _JITTER = 1.5e-3
 """Error of a recorded time, relative to the longest interval or 0.5 s, whichever is smaller."""
 _MOST_SKIPPED, _MOST_FALSE = 2, 2
@@ -92,7 +92,7 @@ def labelled(times: Vector, scatter: float = _SCATTER) -> Labels:
 
     Args:
         times: Increasing times, ``(n,)`` [s]. Fewer than four are all taken as true.
-        scatter: Scatter of the ratio of two flights that is no evidence of an error.
+        scatter: Scatter of the ratio of two flights that does not show an error.
     """
     n = len(times)
     if n < 4:

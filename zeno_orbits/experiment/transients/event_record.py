@@ -46,7 +46,7 @@ class EventSeries:
         numbers: Index of each event in its sequence, from 0, ``(n,)``.
         error: Standard error of the times that is known beforehand [s], or zero.
         missed: Sentences about events that were not recorded.
-        false: Sentences about events that are no events of the machine.
+        false: Sentences about events that the machine did not make.
         ratio: Ratio of neighbouring flights in the first sequence of impacts, or NaN.
     """
 
@@ -220,7 +220,7 @@ def labelled_series(
         kind: Impact or release.
         stop: Name of the stop.
         times: Increasing times, ``(n,)`` [s].
-        scatter: Scatter of the ratio of two flights that is no evidence of an error.
+        scatter: Scatter of the ratio of two flights that does not show an error.
     """
     if kind is not EventKind.IMPACT:
         n = len(times)
@@ -237,7 +237,7 @@ def labelled_series(
         missed += _missed_words(own, labels, stop)
         for time, number in zip(own.tolist(), labels.numbers, strict=True):
             if number is None:
-                false.append(f"the event at {time:.6g} s{_at(stop)} is no bounce")
+                false.append(f"the event at {time:.6g} s{_at(stop)} is not a bounce")
                 continue
             kept.append(time)
             groups.append(group)

@@ -82,7 +82,7 @@ class LawComparison(TableRepr):
 
     @property
     def best(self) -> LawFit:
-        """The supported law, or else the one with the smallest deviations."""
+        """The supported law, or else the law with the smallest deviations."""
         return self.supported or min(self.fits, key=lambda one: one.found.after)
 
     @property
@@ -92,7 +92,7 @@ class LawComparison(TableRepr):
         if one is None:
             return f"no law is supported; `{self.best.law}` has the smallest deviations"
         if one is self.fits[0] and len(self.fits) > 1:
-            return f"the recordings support the law `{one.law}`, and need no further parameter"
+            return f"the recordings support the law `{one.law}` without a further parameter"
         return f"the recordings support the law `{one.law}`"
 
     def _columns(self) -> Columns:
@@ -137,8 +137,8 @@ def laws_of(
         fitted: Fits a problem from its values, with ranges of further parameters.
 
     Raises:
-        InputError: If a law is unknown, or the problem has no parameter `restitution`, or one with
-            the name of a law's own.
+        InputError: If a law is unknown, or the problem lacks a parameter `restitution`, or has
+            one with the name of a law's own.
     """
     if not laws:
         raise InputError(f"Argument `law` must name at least one of {', '.join(LAWS)}.")

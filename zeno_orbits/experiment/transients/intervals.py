@@ -55,7 +55,7 @@ def profile_ends(
         fit: The optimum.
         k: Index of the unknown.
         inflation: Ratio of the errors to those for independent residuals.
-        freedom: Degrees of freedom of the error, those of the residuals by default.
+        freedom: Degrees of freedom of the error, by default of the residuals.
     """
     from scipy.stats import t as student
 

@@ -85,7 +85,7 @@ class StatesAt:
         """Derivatives by the initial state, then the chosen parameters, ``(n, n_x, m)``.
 
         Raises:
-            SimulationError: If an event has no derivative.
+            SimulationError: If an event lacks a derivative.
         """
         found = np.tile(
             np.eye(self.states.shape[1], self.motion.n_columns), (len(self.times), 1, 1)
@@ -146,7 +146,7 @@ class TransientMotion:
             times: Increasing times, ``(n,)`` [s].
 
         Raises:
-            SimulationError: If an event has no derivative.
+            SimulationError: If an event lacks a derivative.
         """
         return _between(self._derivatives, self._passages[k], times)
 

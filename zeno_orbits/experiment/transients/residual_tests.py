@@ -53,7 +53,7 @@ class ResidualTests:
         inflation: Ratio of the errors to those for independent residuals.
         scatter: Scatter of the restitution per impact by event times, relative, or NaN.
         jitter: Jitter of event times relative to their longest interval, or NaN.
-        odd: Missed and false events relative to the recorded ones.
+        odd: Missed and false events relative to the recorded events.
         ends: Determined parameters that reached an end of their range.
     """
 
@@ -126,7 +126,7 @@ def tested(
 
 
 def _odd(shooting: Shooting) -> float:
-    """Return the number of missed and false events relative to the recorded ones."""
+    """Return the number of missed and false events relative to the recorded events."""
     series = [one for trial in shooting.trials for one in trial.series]
     false = sum(len(one.false) for one in series)
     recorded = sum(len(one.times) for one in series) + false

@@ -33,7 +33,7 @@ _BESIDE = 1.5
 _ERROR = 0.3
 """First guess of the error of a seen impact, in sampling times."""
 _SCATTER = 0.15
-"""Scatter of the ratio of two flights that is no evidence of a missed impact: a gap shows most."""
+"""Scatter of the ratio of two flights that does not show a missed impact: a gap shows most."""
 _LARGEST = 0.25
 """Scatter of no ball: the impacts were mistaken for others."""
 _ROUNDS = 4

@@ -73,7 +73,7 @@ def with_second(
         second: The second file.
 
     Raises:
-        UnfittableError: If the second file does not show the motion of the first one.
+        UnfittableError: If the second file does not show the motion of the first file.
     """
     trial = _twin(shooting, begin, second)
     found_shifts = list(_shifts(shooting, found, trial))
@@ -139,7 +139,7 @@ def _shifts(shooting: Shooting, found: StagedFit, trial: TrialData) -> Iterator[
     """Yield offsets of a second file at which it is like the motion, the best first.
 
     Raises:
-        UnfittableError: If there is none.
+        UnfittableError: If no shift fits.
     """
     x, first_offset = shooting.start_of(0, found.z)
     graph = shooting.graph.at(shooting.parameters(found.z))

@@ -221,7 +221,7 @@ class Shooting:
         """Return the derivatives of the residuals, ``(n_r, n_z)``.
 
         Raises:
-            SimulationError: If an event has no derivative.
+            SimulationError: If an event lacks a derivative.
         """
         rows = list[Vector]()
         for k, (trial, found) in enumerate(zip(self.trials, predictions, strict=True)):
@@ -276,7 +276,7 @@ class Prediction:
     """The prediction of one trial at given unknowns.
 
     Derivatives cost several times as much as the motion, so they are computed when they are asked
-    for. A step of a fit that is taken back needs none.
+    for. A rejected step of a fit needs no derivatives.
 
     Attributes:
         shooting: The trials.
@@ -345,7 +345,7 @@ class Prediction:
         """Their derivatives with respect to the unknowns, ``(n, n_s, n_z)``.
 
         Raises:
-            SimulationError: If an event has no derivative.
+            SimulationError: If an event lacks a derivative.
         """
         shooting, own, z = self.shooting, self._own, self.z
         if not len(self._times):

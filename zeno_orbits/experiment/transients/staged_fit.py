@@ -235,7 +235,7 @@ def best_fit(shooting: Shooting, z: Vector, on_progress: Progress) -> StagedFit 
 
 
 def _is_noise(shooting: Shooting, best: StagedFit) -> bool:
-    """Return True if only samples are fitted, and their residuals are no larger than the noise."""
+    """Return True if only samples are fitted, and their residuals do not exceed the noise."""
     freedom = len(best.rest) - len(best.z)
     only_samples = not any(one.n_events for one in shooting.trials)
     return only_samples and freedom > 0 and best.cost < _QUIET * freedom
@@ -285,7 +285,7 @@ def refitted(shooting: Shooting, found: StagedFit) -> StagedFit:
 
     Args:
         shooting: The trials with the other weights or masks.
-        found: The fit with the former ones.
+        found: The fit with the former values.
     """
     again, shares = list[StagedFit](), list[int]()
     for z, share in zip(found.found, found.shares, strict=True):

@@ -125,7 +125,7 @@ class TransientComparison(TableRepr, ByValue):
 
     @property
     def agrees(self) -> bool:
-        """True if the residuals have no structure: the model explains the recordings."""
+        """True if the residuals are noise: the model explains the recordings."""
         return not self.fit.tests.has_structure
 
     def as_json(self) -> dict[str, Any]:

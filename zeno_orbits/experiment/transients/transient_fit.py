@@ -93,7 +93,7 @@ class FittedTrial(ByValue):
         event_times: Recorded times of true events, ``(n_e,)`` [s].
         event_rests: Recorded minus fitted times of the events, ``(n_e,)`` [s].
         missed: Sentences about impacts that were not recorded.
-        false: Sentences about recorded events that are no events of the machine.
+        false: Sentences about recorded events that the machine did not make.
     """
 
     label: str
@@ -128,7 +128,7 @@ class FittedTrial(ByValue):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TransientFit(ByValue):
-    """What a fit of transients found beside the parameters.
+    """What a fit of transients found in addition to the parameters.
 
     Attributes:
         trials: The trials.
@@ -433,7 +433,7 @@ def _deviation(shooting: Shooting, z: Vector) -> float:
 
 
 def _without_jumps(shooting: Shooting) -> Shooting:
-    """Return the fit of the channels that do not jump, or the fit itself if a trial has no other.
+    """Return the fit of the channels that do not jump, or the fit itself if a trial lacks them.
 
     Samples of a velocity beside an impact that no gap shows lead to wrong optima.
     """
@@ -605,7 +605,7 @@ class _Basis:
         shooting: The trials.
         found: The optimum.
         inflation: Ratio of the errors to those for independent residuals.
-        freedom: Degrees of freedom of the unknowns, those of the residuals by default.
+        freedom: Degrees of freedom of the unknowns, by default of the residuals.
         labels: Labels of the shared unknowns.
     """
 
@@ -865,7 +865,9 @@ def _remarks(
     many = len(trials) > 1
     for one in trials:
         remarks += [f"{one.label}: {w}" if many else w for w in (*one.missed, *one.false)]
-    remarks += [f"`{label}` reached an end of its range, so it has no interval" for label in at_end]
+    remarks += [
+        f"`{label}` reached an end of its range: its interval is unknown" for label in at_end
+    ]
     if tests.has_structure:
         remarks += [word for one in shooting.trials for word in _held_words(one)]
     if not _is_determined(found):

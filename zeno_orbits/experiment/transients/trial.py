@@ -176,7 +176,7 @@ def _require_names(problem: Problem, start: Mapping[str, float], free: Collectio
         if name not in known:
             raise InputError(f"Argument `initial`: {not_known(name, known)}")
         if name == CLOCK and not problem.clock:
-            raise InputError("Argument `initial`: the problem has no clock.")
+            raise InputError("Argument `initial`: the problem lacks a clock.")
 
 
 def _of_events(
@@ -248,7 +248,7 @@ def _of_samples(
     start: Mapping[str, float],
     free: Collection[str],
 ) -> TrialData:
-    """Return a trial of samples, with event times beside them if there are any."""
+    """Return a trial of samples, with event times if the columns have them."""
     time, names, values = _samples(recording, names, label)
     origin = float(time[0])
     time = time - origin

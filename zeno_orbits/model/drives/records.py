@@ -8,7 +8,7 @@ A cell of the phase :math:`\varphi` around :math:`m` is a polynomial of
 .. math:: \delta = \arcsin(s \cos m - c \sin m) = \varphi - m,\qquad (c, s) = (\cos\varphi,
     \sin\varphi)
 
-so the input has no cut at the end of a turn, where an angle has one.
+so the input is smooth at the end of a turn, where an angle jumps.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Record(ByValue):
         """The frequency of a clock that turns once per period [rad/s].
 
         Raises:
-            InputError: If the record has no period.
+            InputError: If the record lacks a period.
         """
         if self.period is None:
             raise InputError(

@@ -122,7 +122,7 @@ def harmonics(clock: Clock, amplitudes: Sequence[tuple[Formula, Formula]]) -> ca
         amplitudes: Pairs :math:`(a_k, b_k)` from the first harmonic on, numbers or formulas.
 
     Raises:
-        ValueError: If there is no amplitude, or an entry is not a pair.
+        ValueError: If amplitudes are missing, or an entry is not a pair.
     """
     try:
         pairs = [(a, b) for a, b in amplitudes]

@@ -78,7 +78,7 @@ class _Value:
         square: A base and a factor, if the value is the square of the base times the factor.
         steps: Whether the value is constant between the knots of tables.
         reads: For the kinks whose condition may be undefined, 1 if the value depends on the side of
-            the kink on this branch. A kink that is missing has no influence.
+            the kink on this branch. A missing kink does not change the side.
     """
 
     written: ca.SX
@@ -267,7 +267,7 @@ class _Walk:
         at_zero: bool = True,
         jumps: bool = False,
     ) -> _Value:
-        """Return the first value where a condition is positive, and else the last one."""
+        """Return the first value where a condition is positive, and else the last value."""
         side, k = self.side(condition, at_zero, jumps=jumps)
         reads = [_chosen_reads(side, first.reads, last.reads), condition.reads]
         if k is not None and self.conditions[k].is_partial:

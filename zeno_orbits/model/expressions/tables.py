@@ -345,7 +345,7 @@ def _patches(
         coefficients: Coefficients by the powers of both arguments and by the cells, ``(k, l, n,
             m)``.
         name: Name of the table.
-        refuses: Whether the function has no value beyond the knots.
+        refuses: Whether the function is undefined beyond the knots.
         is_kinked: Whether knots are events.
     """
     ways: list[ca.SX] = []

@@ -83,7 +83,7 @@ def require_start(
 
 
 def _require_sides(graph: GraphDynamics, x: Vector, subject: str) -> None:
-    """Reject a side of a part with dry friction that is none.
+    """Reject a side of a part with dry friction other than -1, 0 and 1.
 
     Raises:
         InputError: If there is one. The message names its state.

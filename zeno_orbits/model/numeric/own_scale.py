@@ -176,7 +176,7 @@ def own_scale(
             clock.
         further: Indices of the states of circuits and of additional states.
         branch: Function that returns the system on the branch of its kinks at a state. The default
-            is the system itself, which has no kinks.
+            is the system itself, which is free of kinks.
         stops: The systems of all stops. The default is the system itself.
     """
     with np.errstate(all="ignore"):

@@ -334,7 +334,7 @@ class ReturnMap(TableRepr):
             parameters: Parameters of the section.
 
         Raises:
-            SimulationError: If the section has no point there.
+            SimulationError: If the section lacks a point there.
         """
         surface = self._surface_at(self._values(gains, parameters))
         full = self._on(surface, self._point(x))
@@ -525,11 +525,11 @@ def return_map_of(
     Args:
         problem: The problem of the orbit.
         orbit: The orbit.
-        section: Event of the section. The default is the one at which the orbit starts.
+        section: Event of the section. The default is the event at which the orbit starts.
         simulation: Accuracy.
 
     Raises:
-        InputError: If the orbit has no such event, if that accumulates, or if it is not closed.
+        InputError: If the orbit lacks the event or is not closed, or if the impacts accumulate.
         SimulationError: If the motion from its start does not return.
     """
     settings = simulation or SimulationSettings()
@@ -579,7 +579,7 @@ def _inverse(matrix: Vector) -> Vector:
 
 
 def _require_section(section: str, names: Sequence[str]) -> None:
-    """Refuse a section that is no event of an orbit, or an event of impacts that accumulate.
+    """Refuse a section that is not an event of an orbit, or an event of impacts that accumulate.
 
     Raises:
         InputError: If it is.

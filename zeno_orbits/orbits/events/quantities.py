@@ -408,7 +408,7 @@ def _direction(
 
 
 def _stays_closed(graph: GraphDynamics, stop: int, impact: Impact) -> bool:
-    """Return True if a stop has no gap and no rate before and after an impact on another stop."""
+    """Return True if a stop is closed at rest before and after an impact on another stop."""
     view = graph.view(graph.open_mode, stop)
     rates = [view.gap_rate(x) for x in (impact.state_minus, impact.state_plus)]
     still = max(map(abs, rates)) <= _CLOSED * view.own.gap_rate

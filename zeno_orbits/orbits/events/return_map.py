@@ -251,7 +251,7 @@ def multipliers_of_return(graph: GraphDynamics, found: EventReturn) -> tuple[com
         found: The return.
 
     Raises:
-        SimulationError: If the return has no derivative, as where a root meets zero at an event.
+        SimulationError: If the return lacks a derivative, as where a root meets zero at an event.
     """
     scale = largest_states(found.execution.arcs, graph)
     slope = _slope(graph, found, scale)[2]

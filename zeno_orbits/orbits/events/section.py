@@ -70,7 +70,7 @@ _NEUTRAL = 1e-12
 _ROUNDED = 1e-9
 """Relative correction below which Newton's method ends at a correction that is not smaller."""
 _DECAYED = 1e-6
-"""Share of the largest size of a state, in own sizes, below which it is no unit of a step."""
+"""Share of the largest size of a state, in own sizes, below which it is not a unit of a step."""
 _SPACINGS = 4.0
 """Roundings of the times of a period that add up: of two switches, by the clock and by the root."""
 _SHRINKS, _HALVES = 0.1, 0.5
@@ -266,7 +266,7 @@ class EventReturn:
         """The arcs of the return, with derivatives of their ends.
 
         Raises:
-            SimulationError: If an event has no derivative.
+            SimulationError: If an event lacks a derivative.
         """
         found: list[ArcPassage] = []
         n_crossed = 0
@@ -440,7 +440,7 @@ def on_section(graph: GraphDynamics, x: Vector, mode: SectionMode) -> Vector:
         mode: The mode just after the event of the section.
 
     Raises:
-        SimulationError: If there is no release nearby.
+        SimulationError: If no release is found nearby.
     """
     x = _on_constraints(graph, x)
     closed, sides = graph.mode_of(mode.closed, mode.sides)
@@ -618,7 +618,7 @@ def closed_return(
         mode: The mode just after the event. The start is projected by it. By default it is the mode
             of the motion from the start.
         is_near: Whether the start is near the orbit, so that every correction is smaller than the
-            one before. The first one that is not ends the search.
+            one before. The first orbit that is not ends the search.
         exact: Relative correction of an orbit. Newton's method ends at a tenth of it.
         by_returns: Start with the identity as :math:`H`, which costs no derivative. It is faster
             where the orbit attracts.
@@ -761,7 +761,7 @@ def at_section(
         settings: Accuracy.
 
     Raises:
-        SimulationError: If the orbit has no such event, or does not return.
+        SimulationError: If the orbit lacks the event, or does not return.
     """
     section = after_setting(graph, section)
     names = [orbit_event_name(event) for event in found.events]
@@ -806,7 +806,7 @@ def inverse_of_closing(graph: GraphDynamics, found: EventReturn) -> Vector:
 def inverse_where_moved(matrix: Vector) -> Vector:
     """Return the inverse of the identity minus a derivative, zero along neutral directions.
 
-    Multipliers have no unit, so one is near to 1 by itself, and not beside the others.
+    Multipliers are ratios, so one is near to 1 by itself, and not relative to the others.
 
     Args:
         matrix: The identity minus the derivative, ``(d, d)``.
@@ -907,7 +907,7 @@ def near_return(
     Raises:
         InputError: If the event of the section does not occur, belongs to impacts that accumulate,
             or is a Zeno point of a stop with elastic impacts.
-        SimulationError: If the motion comes to rest, has no events, or does not return.
+        SimulationError: If the motion comes to rest, lacks events, or does not return.
     """
     if _is_at_rest(execution, graph, execution.end_time / 2):
         raise SimulationError(

@@ -365,7 +365,7 @@ def _bare(reset: ca.SX, given: ca.SX, x: ca.SX) -> ca.SX:
 
 
 def _ends_after(own: ca.SX, x: ca.SX, reset: ca.SX, ends: ca.SX) -> ca.SX:
-    """Return gaps and gap rates after a reset. Unchanged ones are their own states."""
+    """Return gaps and gap rates after a reset. Unchanged states are the states before it."""
     after = ca.substitute(own, x, reset)
     rows = [
         ends[k] if ca.is_equal(after[k], own[k], _DEEP) else after[k] for k in range(own.numel())

@@ -22,7 +22,7 @@ class CheckedRange(NamedTuple):
         low: Lower end.
         high: Upper end.
         failure: The first claim that does not hold, with its reason, or an empty text.
-        stability: 1 for stable fixed points, -1 for unstable ones, 0 if neither is proved.
+        stability: 1 for stable and -1 for unstable fixed points, 0 if neither is proved.
         inside: True if the return map contracts the box.
         kind: Numbers of releases, of Zeno points, and True for plastic impacts.
         told: Events in order, for a machine with several stops, switches or kinks.

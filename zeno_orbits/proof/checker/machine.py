@@ -238,7 +238,7 @@ def require_switches(
     crossed: int,
     met: int,
 ) -> None:
-    """Check that a step meets no switch, except the one that ends it.
+    """Check that a step meets no switch, except the switch that ends it.
 
     A guard keeps its side if it differs from zero on the whole step, if it moves away from zero, or
     if it moves towards zero and has not reached it at the end. A declared switch is an event only

@@ -241,7 +241,7 @@ def crossed(
 
     Args:
         system: The system of the mode.
-        met: The system of the stop that is met, or the same one.
+        met: The system of the stop that is met, or the same system.
         place: Position of the record in the motion.
         flow: The step.
         record: Its entries.
@@ -287,7 +287,7 @@ def _require_contact(
 
     Args:
         system: The system of the mode.
-        met: The system of the stop that is met, or the same one.
+        met: The system of the stop that is met, or the same system.
         place: Position of the record in the motion.
         flow: The step.
         end: Box of the states at its end.

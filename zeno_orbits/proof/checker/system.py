@@ -302,7 +302,7 @@ class _Change(NamedTuple):
     Attributes:
         states: States that it changes.
         moves: True if a gap or a gap rate depends on one of them.
-        ends: Nodes of gap and gap rate of each stop after it. Unchanged ones are their own states.
+        ends: Nodes of gap and gap rate of each stop after it. Others stay the same nodes.
         stays: True for each of these that is zero after it if it was zero before it.
         keeps_guard: True if the guard has the same value before and after it.
     """

@@ -113,7 +113,7 @@ def proof_start(orbit: Orbit) -> ProofStart:
         kind = SectionKind.SWITCH
         free = [k for k, event in enumerate(orbit.events) if event.word == "switch"]
     if not free:
-        reason = "no contact of the orbit ends by its own force, and it has no switch"
+        reason = "no contact of the orbit ends by its own force, and it lacks a switch"
         raise ProofError("shape", f"{reason} ({', '.join(orbit.sequence)})")
     last = names[free[-1]]
     turned = _turned(orbit, free[-1], struck=kind is SectionKind.IMPACT)

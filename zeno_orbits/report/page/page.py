@@ -180,7 +180,7 @@ def _unbroken(command: Sequence[str]) -> Markup:
 
 
 def _printable(value: object) -> object:
-    """Return a value for the page. A text has no characters that command a terminal or reorder."""
+    """Return a value for the page. Characters that command a terminal are replaced."""
     return printable(value) if type(value) is str else value
 
 

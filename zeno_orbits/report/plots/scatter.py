@@ -35,7 +35,7 @@ def plot_scatter(found: Scatter, *, width: float = FULL_WIDTH, axes: Sequence[Ax
     """
     shown = [row for row in found.rows if row.deviation > _LEAST * max(abs(row.orbit), _LEAST)]
     if not shown:
-        raise InputError("Argument `found` must have a quantity that scatters, but it has none.")
+        raise InputError("Argument `found` must have a quantity that scatters.")
     panels = panels_of(width, len(shown), height=2.2, axes=axes)
     for ax, row in zip(panels, shown, strict=True):
         _draw(ax, row, found)

@@ -244,7 +244,7 @@ def _read_as(errors: Mapping[str, Estimate]) -> Iterator[str]:
 
 
 def print_laws(found: LawComparison) -> None:
-    """Print laws of impact and the one that the recordings support."""
+    """Print laws of impact and the law that the recordings support."""
     words = {True: "no structure left", False: "structure left"}
     columns: list[Column[LawFit]] = [
         name_column("law", lambda one: one.law),

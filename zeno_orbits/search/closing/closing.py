@@ -1,7 +1,7 @@
 """Orbits at fixed values: a simulation settles, and Newton's method closes.
 
 The motion is simulated until it nearly repeats at an event, and the return to this event is solved
-for its fixed point. A known orbit needs no simulation. The orbit comes from the simulator, which
+for its fixed point. A known orbit is closed without it. The orbit comes from the simulator, which
 the checker also uses: certify it with another engine or the model written by hand, or use
 `find_orbit`, which shares only the model with the checker.
 """
@@ -207,7 +207,7 @@ def _closed_at(
 
 
 def require_no_other_start(start: Mapping[str, float] | None, section: str | None) -> None:
-    """Refuse a start or a section beside a known orbit, which has its own.
+    """Refuse a start or a section with a known orbit, which has its own.
 
     Args:
         start: State name to initial value, or ``None``.
@@ -306,7 +306,7 @@ def settled_return(
     Args:
         problem: The problem.
         values: Its parameter values.
-        starts: Initial states in turn, name to value. By default they are those of the problem.
+        starts: Initial states in turn, name to value. The default is the problem's own.
         section: Name of the event at which the period starts and ends. By default it is chosen.
         shape: Phases of the period of a machine with the stop `stop`. The default is any.
         until: Longest time to settle [s].

@@ -413,7 +413,7 @@ def _closed(
 
 
 def _require_shape(graph: GraphDynamics, found: EventReturn, wanted: EventSequence) -> None:
-    """Refuse an orbit of another shape than the one that is asked for."""
+    """Refuse an orbit of another shape than requested."""
     shape = shape_of_events(found.events, is_plastic=graph.first.restitution == 0.0)
     if shape is None or events_of_shape(shape) == events_of_shape(wanted):
         return

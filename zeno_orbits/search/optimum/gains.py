@@ -103,8 +103,8 @@ class GainSearch:
         near: A known orbit at which the search starts, in place of a motion that settles.
         section: Name of the event at which the period starts and ends. By default it is chosen.
         shape: Phases of the period of a machine with the stop `stop`. The default is any.
-        starts: Initial states of motions that settle, name to value. By default they are those of
-            the problem.
+        starts: Initial states of motions that settle, name to value. The default is the problem's
+            own.
         until: Longest time to settle [s].
         simulation: Accuracy.
         on_progress: Called with the stage.
@@ -166,8 +166,8 @@ class GainSearch:
             place: Values of its gains and parameters.
 
         Raises:
-            InputError: If the objective has no event there.
-            SimulationError: If a corner has no orbit there.
+            InputError: If the event of the objective is missing there.
+            SimulationError: If a corner lacks an orbit there.
         """
         best = self._by(self.method, found, place)
         if self.method is not SearchMethod.AUTO or best.result.method is not SearchMethod.PROGRAM:
@@ -225,7 +225,7 @@ class BestOrbit:
         violation: Largest violation of a bound or a target, in units of its size.
         extents: Name to range of the quantities of the objective, and of the bounds over all
             corners.
-        is_last: True if the orbit is the last one before the end of a family.
+        is_last: True if the orbit is the last before the end of a family.
     """
 
     result: SearchResult
@@ -289,7 +289,7 @@ class _Task:
         """Return objective and rows at free values in the unit box.
 
         Raises:
-            SimulationError: If there is no orbit near the last one.
+            SimulationError: If no orbit is found near the last orbit.
             StepError: If an event of the objective or a bound does not occur.
         """
         self.on_progress("optimizing", None)
@@ -331,7 +331,7 @@ class _Task:
         """Return the task with the sizes of the bounded quantities at free values.
 
         Raises:
-            SimulationError: If there is no orbit.
+            SimulationError: If no orbit is found.
             StepError: If an event of a bound does not occur.
         """
         if not self.bounds:
@@ -428,7 +428,7 @@ class _Task:
             section: Name of the event at which the orbits start.
 
         Raises:
-            SimulationError: If the orbit has no such event, or does not return.
+            SimulationError: If the orbit lacks the event, or does not return.
         """
         self.orbits.begin(self.paths().back(found, values, section))
         return self.trial(self.in_box(values))
@@ -484,8 +484,8 @@ def _result(task: _Task, place: ParameterValues) -> BestOrbit:
     """Return the best orbit from free values at which there is an orbit.
 
     Raises:
-        InputError: If the objective has no event there.
-        SimulationError: If a corner has no orbit there.
+        InputError: If the event of the objective is missing there.
+        SimulationError: If a corner lacks an orbit there.
     """
     try:
         task = task.sized(np.array([place.number(name) for name in task.free]))
@@ -743,7 +743,7 @@ def _at_the_end(task: _Task, first: Sample, best: Optimum) -> tuple[Optimum, str
 
 
 def _lacking(task: _Task, trial: Sample, extents: Mapping[str, Extent]) -> str:
-    """Return why the orbit of a trial is no answer, as sentences. Empty if it is one."""
+    """Return why the orbit of a trial is refused, as sentences. Empty if it is accepted."""
     broken = objection_to(task.bounds, extents)
     if not broken and not trial.violation:
         return ""

@@ -198,7 +198,7 @@ def least_worst(
 
     Args:
         evaluate: Function of the free values in the unit box. It raises `SimulationError` or
-            `StepError` where there is no orbit.
+            `StepError` where orbits do not exist.
         first: The trial at which the search starts.
         precision: Change of the objective over its first value, below which it has converged.
     """

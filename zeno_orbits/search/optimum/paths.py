@@ -160,7 +160,7 @@ class OrbitPaths:
             section: Name of the event.
 
         Raises:
-            SimulationError: If the orbit has no such event, or does not return.
+            SimulationError: If the orbit lacks the event, or does not return.
         """
         graph = self.problem.graph_dynamics(values)
         return at_section(graph, found, section, self.orbits.simulation)

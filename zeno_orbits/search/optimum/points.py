@@ -298,8 +298,8 @@ class OrbitsOverValues:
         values: Values of everything that is neither free nor at a corner.
         names: Names of the free values.
         simulation: Accuracy.
-        starts: Initial states of motions that settle, name to value, where an orbit is lost. By
-            default they are those of the problem.
+        starts: Initial states of motions that settle, name to value, where an orbit is lost. The
+            default is the problem's own.
         shape: Phases of the orbits of a machine with the stop `stop`, or ``None`` for any.
         n_orbits: Number of orbits so far.
     """
@@ -316,7 +316,7 @@ class OrbitsOverValues:
     )
 
     def begin(self, found: EventReturn, corner: Mapping[str, float] | None = None) -> None:
-        """Take the first orbit, or the first one at a corner.
+        """Take the first orbit, or the first orbit at a corner.
 
         Args:
             found: The orbit.
@@ -332,7 +332,7 @@ class OrbitsOverValues:
             corner: Values of the uncertain parameters.
 
         Raises:
-            SimulationError: If there is no orbit near the last one.
+            SimulationError: If no orbit is found near the last orbit.
         """
         free = dict(zip(self.names, map(float, numbers), strict=True))
         values = self.values.replaced({**corner, **free})

@@ -113,7 +113,7 @@ class Strength:
 
 
 def push_of(problem: Problem, orbit: Orbit, objective: MaxPush) -> tuple[Push | None, str]:
-    """Return the least push of an orbit, or ``None`` and the reason why it has none.
+    """Return the least push of an orbit, or ``None`` and the reason why it is missing.
 
     Args:
         problem: The problem.

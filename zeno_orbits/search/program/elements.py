@@ -113,7 +113,7 @@ class _Calls:
     outputs: Rows
 
     def joined(self, other: _Calls) -> _Calls:
-        """Return the calls with those of another list."""
+        """Return the calls with the calls of another list."""
         return _Calls(
             element=self.element,
             columns=np.hstack([self.columns, other.columns]),
@@ -146,7 +146,7 @@ class ElementProgram:
 
     @property
     def n_inequalities(self) -> int:
-        """Number of rows that are no equations."""
+        """Number of rows that are not equations."""
         return int(np.sum(self.row_bounds[0] < self.row_bounds[1]))
 
     def solve(self, settings: IpoptSettings) -> ElementSolution:
@@ -362,7 +362,7 @@ class ElementBuilder:
         """Return the program.
 
         Args:
-            is_square: Whether it has no choice, so that second derivatives are left out.
+            is_square: Whether it lacks a choice, so that second derivatives are left out.
         """
         sizes = np.concatenate(self._sizes)
         z = ca.MX.sym("z", self._n)

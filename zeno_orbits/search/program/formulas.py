@@ -1,7 +1,7 @@
 r"""The elements of a program: flow, events, Zeno tails and signals of a machine's modes.
 
 All formulas are those of the machine's compiled systems. The column of an element ends with the
-free values, and its constants are all values of the machine, so that other values need no other
+free values, and its constants are all values of the machine, so that other values need no further
 element.
 """
 

@@ -414,7 +414,7 @@ def _box(here: _Motions, task: ProgramTask, half: float) -> dict[str, tuple[floa
 
 
 def _is_held(here: _Motions, task: ProgramTask, half: float, numbers: Array) -> bool:
-    """Return True if a side of a box holds a free value, and is no side of its range."""
+    """Return True if a side of a box holds a free value, and is not a side of its range."""
     for (name, (low, high)), number in zip(task.free.items(), numbers.tolist(), strict=True):
         room = half * (high - low)
         off = number - here.values.number(name)
@@ -427,7 +427,7 @@ def _is_held(here: _Motions, task: ProgramTask, half: float, numbers: Array) -> 
 def _values_at(
     values: ParameterValues, task: ProgramTask, numbers: Sequence[float]
 ) -> ParameterValues:
-    """Return values with the free ones replaced. Rounding does not take them out of their range."""
+    """Return values with other free values. Rounding does not take them out of their range."""
     ranges = task.free.items()
     free = {
         name: min(max(number, low), high)

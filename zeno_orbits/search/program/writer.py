@@ -178,7 +178,7 @@ def write_period(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _After:
-    """A state after an event: unknowns, or outputs where there are none."""
+    """A state after an event: unknowns, or outputs if unknowns are missing."""
 
     unknowns: Rows
     outputs: Rows

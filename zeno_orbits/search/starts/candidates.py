@@ -38,7 +38,7 @@ class StartEnd:
         result: The result, ``None`` if no orbit was found to search from.
         extents: Name to range of the measured quantities of objective and bounds.
         objection: Reason why the check refuses its orbit. Empty if it does not.
-        error: Why there is no result.
+        error: Why the result is missing.
     """
 
     result: SearchResult | None = None

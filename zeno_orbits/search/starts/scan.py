@@ -114,7 +114,7 @@ def stays_in_contact(search: SearchProblem) -> bool:
 
 
 def require_period_in_reach(search: SearchProblem, objective: TargetPeriod) -> None:
-    """Refuse a period that is far from those of all orbits of the scan.
+    """Refuse a period that is far from the period of every orbit of the scan.
 
     The scan takes seconds, so it is asked only if the period is also far from the time scale of the
     problem.

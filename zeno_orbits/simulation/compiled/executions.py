@@ -169,7 +169,7 @@ class PairByLoop:
         return found[: pair.n_rates].tolist()
 
     def close(self) -> None:
-        """Free the memory. Afterwards there are no further turns."""
+        """Free the memory. Further turns are impossible afterwards."""
         self._run.loop.close()
 
 

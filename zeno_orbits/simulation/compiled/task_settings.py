@@ -55,7 +55,7 @@ def run_settings(task: SimulationTask, **others: Any) -> list[RunSettings]:
 
     Args:
         task: The simulation task.
-        others: Values that replace those of the task.
+        others: Values that replace the values of the task.
     """
     values = {**_own_limits(task), **others}
     return [replace(_shared(*one), **values) for one in _shared_by_stop(task)]

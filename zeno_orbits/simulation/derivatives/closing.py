@@ -33,7 +33,7 @@ def closed_by_loop(
         Its record and events, or ``None`` if the reference has to look for it.
 
     Raises:
-        SimulationError: If there is no orbit nearby.
+        SimulationError: If no orbit is found nearby.
     """
     graph, first = task.graph, task.graph.first
     kind, is_plain = section.partition(" ")[0], graph.has_one_guard and bool(graph.stop_names)

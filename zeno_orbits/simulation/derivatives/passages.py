@@ -81,7 +81,7 @@ class EventDerivatives:
             first: Index of the arc that counts as the first.
 
         Raises:
-            SimulationError: If an event has no derivative: a stop is touched without an impact.
+            SimulationError: If an event lacks a derivative: a stop is touched without an impact.
         """
         walk = Walk(self, execution, first, start)
         while not walk.is_over:

@@ -77,7 +77,7 @@ def recorded_arcs(
 ) -> RecordedArcs | None:
     """Return successive arcs of one view, or ``None`` if the loop did not record the first.
 
-    All their events are those of the stop of the view. They end with a release at the latest.
+    All their events occur at the stop of the view. They end with a release at the latest.
 
     Args:
         execution: The execution.

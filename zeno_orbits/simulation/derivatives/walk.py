@@ -4,7 +4,7 @@ Every event is the zero of a guard :math:`g` along the flow `f` of its mode, as 
 
 .. math:: \delta t = -\frac{\nabla g\,V + g_p Q}{\dot g}, \qquad \delta x = V + f\,\delta t
 
-The next arc starts at the event, so the jump of the flow at a switch needs no term of its own
+The next arc starts at the event, so the jump of the flow at a switch adds no term of its own
 (saltation). Impacts and Zeno points follow the formulas of their stop with the closed stops of the
 mode as constraints, and a reset its own derivative.
 
@@ -227,7 +227,7 @@ class Walk:
         return self._crossed(arc, by.contact(arc.end_state)[MULTIPLIER])
 
     def _end_at_switch(self, arc: Arc, event: Event | None) -> SaltationDerivative:
-        """Return the derivatives at a switch, or at one that is not armed, which is no event."""
+        """Return the derivatives at a switch, armed or not. An armed switch makes an event."""
         graph, switch = self._of.graph, self._switch_of(arc, event)
         mode = arc.mode_in(graph)
         gradient = graph.guard_gradient(switch, arc.end_state, self._of.chosen, mode)
