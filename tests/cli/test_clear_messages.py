@@ -25,6 +25,7 @@ from tests.support.commands import (
     interrupted_when,
     raising,
 )
+from tests.support.orbits import event_orbit
 from zeno_orbits import api
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -220,7 +221,7 @@ EVENTS: Mapping[str, tuple[str, ...]] = {
 def test_an_orbit_of_further_modes_is_refused_with_the_cause_and_the_other_commands(
     label: str,
 ) -> None:
-    zo.write_orbit(zo.find_event_orbit("hopper"), "event.json")
+    zo.write_orbit(event_orbit("hopper"), "event.json")
     kind = "one flow off the stop and one on it are needed here, but `hopper` has "
     assert_refused(ask(*EVENTS[label]), f"{label}{kind}", "`verify`, `stability`, `continue`,")
 
@@ -265,7 +266,7 @@ def test_a_billion_periods_are_refused_before_anything_is_integrated(
     kind: str, orbit_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if kind == "events":
-        zo.write_orbit(zo.find_event_orbit("hopper"), orbit_file)
+        zo.write_orbit(event_orbit("hopper"), orbit_file)
     monkeypatch.setattr(api, "verify", raising(AssertionError("integrated")))
     answer = ask("verify", orbit_file, "--periods", "1000000000")
     assert_refused(answer, "--periods 1000000000: needs more steps than a simulation may take: ver")

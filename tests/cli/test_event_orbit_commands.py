@@ -13,6 +13,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import NO, YES, ask, assert_refused
+from tests.support.orbits import event_orbit, shot_orbit
 from zeno_orbits import api
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -52,8 +53,8 @@ def test_search_writes_a_file_that_verify_passes() -> None:
 
 
 def test_verify_prints_the_error_of_an_orbit_of_any_machine() -> None:
-    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
-    zo.write_orbit(zo.find_orbit_by_shooting("vibrating_table").unwrap(), "table.json")
+    zo.write_orbit(event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(shot_orbit("vibrating_table"), "table.json")
     for file in ("hopper.json", "table.json"):
         error = ask("verify", file, "--accuracy", "1e-9", "--json").data["error"]
         assert 0.0 < error < 1e-9
@@ -61,7 +62,7 @@ def test_verify_prints_the_error_of_an_orbit_of_any_machine() -> None:
 
 
 def test_plot_draws_the_pictures_that_an_orbit_has() -> None:
-    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(event_orbit("hopper"), "hopper.json")
     answer = ask("plot", "hopper.json", "-o", "pictures", "--json")
     # No impacts accumulate, and the problem has no outputs.
     assert answer.data == {"pictures": ["pictures/portraits.png", "pictures/time.png"]}
@@ -80,7 +81,7 @@ def test_figures_draws_the_mechanism_and_the_portraits() -> None:
 
 @pytest.mark.slow
 def test_report_writes_the_page_and_returns_the_verdict() -> None:
-    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(event_orbit("hopper"), "hopper.json")
     answer = ask("report", "hopper.json", "-o", "page.html")
     assert answer.code == YES
     page = Path("page.html").read_text(encoding="utf-8")
@@ -114,7 +115,7 @@ def test_an_unstable_orbit_is_written_only_if_it_is_accepted(
 
 
 def test_verify_refuses_a_changed_file() -> None:
-    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(event_orbit("hopper"), "hopper.json")
     data = json.loads(Path("hopper.json").read_text())
     data["start_state"]["speed"] *= 1.001
     Path("hopper.json").write_text(json.dumps(data))
@@ -355,7 +356,7 @@ def test_a_search_for_impacts_without_anything_to_vary_is_refused() -> None:
 
 
 def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() -> None:
-    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(event_orbit("hopper"), "hopper.json")
     assert_refused(ask("zeno-condition", "relay"), "`relay`", "several stops")
     region = ("plot", "hopper.json", "-o", "pictures", "--kind", "region")
     assert_refused(ask(*region), "--kind region", "one stop")
@@ -367,7 +368,7 @@ def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() 
 
 
 def test_rig_of_an_orbit_of_events_writes_a_recording_with_its_contacts() -> None:
-    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(event_orbit("hopper"), "hopper.json")
     words = ("rig", "hopper.json", "--part", "contact.stiffness=1e5", "--cycles", "2")
     told = ask(*words, "--rate", "1000", "-o", "run.csv", "--json")
     assert told.code == YES
@@ -381,7 +382,7 @@ def test_rig_of_an_orbit_of_events_writes_a_recording_with_its_contacts() -> Non
 
 
 def test_continue_refuses_values_beside_an_orbit_file_and_an_orbit_of_another_problem() -> None:
-    zo.write_orbit(zo.find_event_orbit("hopper"), "hopper.json")
+    zo.write_orbit(event_orbit("hopper"), "hopper.json")
     words = ("continue", "hopper", "--parameter", "s=0.05:0.2", "--near", "hopper.json")
     assert_refused(ask(*words, "--set", "a=10"), "--near", "--set")
     other = ("continue", "clapper", "--parameter", "d=0.5:2", "--near", "hopper.json")

@@ -148,6 +148,7 @@ def test_workers_of_a_killed_command_remove_its_temporary_folder(tmp_path: Path)
         wait_for(lambda: not left_in(tmp_path))
 
 
+@pytest.mark.slow
 def test_an_interrupt_while_workers_start_is_one_line(tmp_path: Path) -> None:
     with started(tmp_path, *SMALL, "--grid", "90x90", "--workers", "2") as process:
         wait_for(lambda: workers_of(process.pid))

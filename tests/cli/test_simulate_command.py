@@ -157,7 +157,7 @@ def test_a_run_of_too_many_steps_keeps_its_table_picture_and_samples_and_names_t
     assert answer.code == NO
     assert answer.out.count("release") >= 5
     assert "Zeno point" in answer.out
-    assert "more than 3000 steps: raise `most_steps`" in answer.err
+    assert "more than 3000 steps: raise --max-steps, or simulate" in answer.err
     assert set(contents(here)) == {"time.svg", "data.csv"}
     data = ask(*SHORT, "--json").data
     assert "most_steps" in data["stopped"]

@@ -212,6 +212,10 @@ FALSE: dict[str, tuple[Change, str]] = {
         lambda t, y: (1e3 * t, y),
         "milliseconds labelled as seconds",
     ),
+    "halved times": (
+        lambda t, y: (0.5 * t, y),
+        "the period is 0.5 times the orbit's: check the column of times",
+    ),
     "doubled period": (
         lambda t, y: (t, y * (1 + 0.05 * np.sign(np.sin(math.pi * t / 1.81371293903)))),
         "the period is doubled",
@@ -237,10 +241,13 @@ FALSE: dict[str, tuple[Change, str]] = {
     ),
 }
 
+TWINS = {"gap mirrored", "exchanged columns of different kinds", "never at rest"}
+"""Changes that take long, or whose twin is another one."""
+
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name == "never at rest")) for name in FALSE],
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in TWINS)) for name in FALSE],
 )
 def test_what_shows_no_such_orbit_is_told_with_the_reason(
     name: str, orbit: Orbit, problem: Problem, table: OrbitTable
@@ -249,6 +256,23 @@ def test_what_shows_no_such_orbit_is_told_with_the_reason(
     found = compare_recording(orbit, problem, changed(recorded(table, problem, noise=1e-3), change))
     assert not found.agrees
     assert any(part in one for one in found.reasons for part in reason.split("|")), found.reasons
+
+
+def test_values_far_from_all_others_are_named_and_large_true_values_are_not(
+    orbit: Orbit, problem: Problem, compared: tuple[Recording, Comparison]
+) -> None:
+    right, known = compared
+
+    def stray(time: np.ndarray, values: np.ndarray) -> Any:
+        values = values.copy()
+        values[0, 700] = -50.0
+        return time, values
+
+    found = compare_recording(orbit, problem, changed(right, stray))
+    at = f"{right.time[700]:g} s"
+    told = f"`theta1` has 1 value far from all others (-50 at {at}): correct or empty it"
+    assert [one for one in found.remarks if "far from all" in one] == [told]
+    assert not any("far from all" in one for one in known.remarks)
 
 
 def test_the_recording_of_another_problem_is_told_first(

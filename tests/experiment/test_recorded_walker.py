@@ -59,10 +59,11 @@ def test_the_heel_strike_and_the_step_are_those_of_rigid_bodies() -> None:
 
 
 def test_unlike_legs_under_the_same_controller_show_an_orbit_with_other_values() -> None:
-    found = zo.compare(_orbit(), _recording(walked(Walker(legs=UNLIKE), START, 10, 200.0)))
+    parts = walked(Walker(legs=UNLIKE), START, 10, 200.0)
+    found = zo.compare(_orbit(), _recording(parts))
     assert found.agrees
     assert any("legs, are unlike" in one for one in found.remarks)
-    steps = [one[0][0] for one in walked(Walker(legs=UNLIKE), START, 10, 200.0)]
+    steps = [one[0][0] for one in parts]
     mean = (steps[-1] - steps[0]) / (len(steps) - 1)
     assert found.metric("period").data == pytest.approx(mean, rel=0.01)
 

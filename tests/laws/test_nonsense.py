@@ -21,6 +21,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.chores import square
+from tests.support.orbits import event_orbit, shot_orbit
 
 NONSENSE: tuple[Any, ...] = (
     *(None, "", "no such thing", "\0", "a\nb", b"x", True, -1, 0, 3, -2.5, 1e308, 10**400),
@@ -60,7 +61,7 @@ def motion() -> zo.Execution:
 
 @cache
 def orbit() -> zo.Orbit:
-    return zo.find_orbit_by_shooting("motor_pendulum").unwrap()
+    return shot_orbit("motor_pendulum")
 
 
 @cache
@@ -70,7 +71,7 @@ def families() -> zo.Continuation:
 
 @cache
 def events() -> zo.Orbit:
-    return zo.find_event_orbit("sampled_pendulum")
+    return event_orbit("sampled_pendulum")
 
 
 @cache

@@ -10,6 +10,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
+from tests.support.cases import fast
 from tests.support.commands import MISUSE, YES, ask
 from tests.support.nested_kinks import half_periods, nested_problem
 from tests.support.one_stop import GRAPHS, one_stop_problems
@@ -66,7 +67,7 @@ def _expected(name: str, until: float, **numbers: float) -> list[tuple[str, list
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param("curved_surface", marks=pytest.mark.slow), "motor_pendulum", "marble_table"],
+    fast(1, ["motor_pendulum", "curved_surface", "marble_table"]),
 )
 def test_an_exported_problem_gives_the_same_to_the_last_digit(name: str) -> None:
     found = _events_of(name, "--until", "3")

@@ -11,6 +11,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.reference.several_stops import TwoSided, two_sided
+from tests.support.orbits import event_orbit
 from zeno_orbits.cli import main
 from zeno_orbits.maps import Attractor, AttractorClass, attractors_at, read_map, write_map
 
@@ -168,7 +169,7 @@ def test_the_command_maps_machines_with_switches(tmp_path: Path, capsys: Any) ->
 @pytest.mark.slow
 def test_the_command_maps_from_an_orbit_and_draws(tmp_path: Path, capsys: Any) -> None:
     orbit = tmp_path / "orbit.json"
-    zo.write_orbit(zo.find_event_orbit("clapper"), orbit)
+    zo.write_orbit(event_orbit("clapper"), orbit)
     words = ["--orbit", str(orbit), "--x", "place=-0.5:0.5", "--y", "speed=-1:1", "--grid", "2x2"]
     picture = tmp_path / "map.png"
     assert main(["map", "clapper", *words, "--plot", str(picture)]) == 0

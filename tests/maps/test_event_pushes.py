@@ -182,7 +182,7 @@ def test_a_push_into_a_corner_is_carried_by_both_stops() -> None:
 
 
 def test_an_orbit_that_its_motion_leaves_is_refused() -> None:
-    orbit = zo.find_event_orbit("hopper")
+    orbit = event_orbit("hopper")
     settings = zo.PushSettings(phases=1, steps=1)
     with pytest.raises(zo.InputError, match="must be stable"):
         zo.largest_push(replace(orbit, period=1.1 * orbit.period), settings=settings)
@@ -194,7 +194,7 @@ def test_an_orbit_that_its_motion_leaves_is_refused() -> None:
 @pytest.mark.slow
 def test_the_command_pushes_an_orbit_of_events(tmp_path: Path) -> None:
     orbit, file = tmp_path / "orbit.json", tmp_path / "pushes.json"
-    zo.write_orbit(zo.find_event_orbit("hopper"), orbit)
+    zo.write_orbit(event_orbit("hopper"), orbit)
     words = ["--phases", "2", "--steps", "2", "-o", str(file)]
     # Every hopper returns, v^2 maps to e^2 v^2 + 2 a s, but for the one that an impulse m e v just
     # after the impact stops on the ground. The late returns beside it lead to this impulse.

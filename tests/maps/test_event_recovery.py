@@ -545,7 +545,7 @@ def test_a_relay_forgets_every_disturbance_in_a_period() -> None:
 def test_the_ball_of_a_clapper_ends_where_its_stop_would_release_at_once() -> None:
     # On the stop d the force holds the mass against the spring while A cos(omega t) > k d. A start
     # at another phase leaves at once, without a release.
-    orbit = zo.find_event_orbit("clapper")
+    orbit = event_orbit("clapper")
     found = zo.recovery(orbit, settings=fine())
     assert orbit.section == "zeno upper"
     assert found.periods == 1
@@ -649,7 +649,7 @@ def test_the_recovery_is_the_same_in_other_units(name: str, state: str) -> None:
 
 @pytest.mark.slow
 def test_the_command_writes_the_recovery_of_an_orbit_of_events(tmp_path: Path) -> None:
-    orbit = zo.find_event_orbit("hopper")
+    orbit = event_orbit("hopper")
     path, file = tmp_path / "orbit.json", tmp_path / "recovery.json"
     zo.write_orbit(orbit, path)
     answer = ask("recovery", path, "-o", file)
@@ -683,7 +683,7 @@ def test_orbits_of_events_that_are_unstable_open_or_of_another_problem_are_refus
         },
         until=5.5 * o.half,
     )
-    hopper = zo.find_event_orbit("hopper")
+    hopper = event_orbit("hopper")
     faster = {**hopper.start_state, "speed": 1.1 * hopper.start_state["speed"]}
     for orbit, said in (
         (unstable, "must be stable, but its spectral radius is"),

@@ -12,6 +12,7 @@ import pytest
 import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.commands import MISUSE, YES, ask
+from tests.support.orbits import event_orbit, shot_orbit
 from tests.support.repelling import KD
 from zeno_orbits.errors import InputError
 
@@ -90,7 +91,7 @@ def test_the_range_of_disturbances_is_that_of_single_runs(repelling: zo.Orbit) -
 
 
 def test_least_squares_of_a_single_coordinate_has_a_closed_form() -> None:
-    found = zo.design_feedback(zo.find_event_orbit("hopper"), ["a"], weight=2.0)
+    found = zo.design_feedback(event_orbit("hopper"), ["a"], weight=2.0)
     known = found.returns
     (speed,), (size,) = known.fixed_point, known.sizes
     # The next speed is e sqrt(w^2 + 2 a s).
@@ -132,7 +133,7 @@ def test_deadbeat_takes_as_many_periods_as_coordinates(name: str) -> None:
 
 
 def test_placed_multipliers_are_the_rates_of_decay() -> None:
-    orbit = zo.find_event_orbit("hopper")
+    orbit = event_orbit("hopper")
     found = zo.design_feedback(orbit, ["a"], method="place", multipliers=[0.6])
     away = _away(found, found.run(found.returns.fixed_point * 1.001, 12))
     assert away[6:] / away[5:-1] == pytest.approx(np.full(7, 0.6), rel=1e-4)
@@ -145,7 +146,7 @@ def test_placed_multipliers_are_the_rates_of_decay() -> None:
 
 
 def test_inputs_stay_in_their_ranges() -> None:
-    found = zo.design_feedback(zo.find_event_orbit("hopper"), {"a": (19.5, 20.5)}, weight=1e3)
+    found = zo.design_feedback(event_orbit("hopper"), {"a": (19.5, 20.5)}, weight=1e3)
     assert found.inputs_at([0.0]) == pytest.approx([20.5])
     assert found.inputs_at([5.0]) == pytest.approx([19.5])
     motion = found.run([1.0], 10)
@@ -173,12 +174,12 @@ def test_inputs_stay_in_their_ranges() -> None:
 )
 def test_wrong_input_is_named(inputs: Any, how: dict[str, Any], told: str) -> None:
     with pytest.raises(InputError) as error:
-        zo.design_feedback(zo.find_event_orbit("hopper"), inputs, **how)
+        zo.design_feedback(event_orbit("hopper"), inputs, **how)
     assert told in str(error.value)
 
 
 def test_an_input_that_moves_the_section_is_refused() -> None:
-    orbit = zo.find_orbit_by_shooting("forced_oscillator").unwrap()
+    orbit = shot_orbit("forced_oscillator")
     with pytest.raises(InputError, match="`A` moves the section `release stop`"):
         zo.design_feedback(orbit, ["A"])
 

@@ -11,6 +11,7 @@ import pytest
 import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.commands import MISUSE, NO, YES, ask
+from tests.support.orbits import event_orbit
 from tests.support.repelling import GAINS, KD, START
 from zeno_orbits.errors import InputError
 
@@ -156,6 +157,6 @@ def test_a_wrong_law_is_named(changed: dict[str, Any], told: str) -> None:
 
 
 def test_an_input_of_a_switching_time_is_refused_as_a_state() -> None:
-    found = zo.design_feedback(zo.find_event_orbit("relay_soft"), ["t1"])
+    found = zo.design_feedback(event_orbit("relay_soft"), ["t1"])
     with pytest.raises(InputError, match="`t1` determines a switching time of a waveform"):
         found.machine()

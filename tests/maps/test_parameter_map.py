@@ -137,7 +137,7 @@ def test_a_point_whose_derived_numbers_do_not_exist_fails_by_itself() -> None:
         ({"x": Axis(name="m", lower=1.0, upper=2.0, count=1)}, "`points` must be at least 2x2"),
         (
             {"x": Axis(name="m", lower=1.0, upper=2.0, count=10_000_000)},
-            "`points` must ask for at most 10000000 points",
+            "`x`: 10000000 values and 3 of `y` make 30000000 points, more than 10000000. Ask",
         ),
         ({"parameters": {"m": 1.0}}, "`x` must name a free quantity, but `m` is"),
         ({"parameters": {"mass": 1.0}}, "unknown parameter `mass`"),
@@ -484,7 +484,10 @@ def test_curves_of_a_family_file_are_read_whichever_way_round(tmp_path: Path) ->
         ("no JSON", "not complete JSON"),
         ("{}", "curves are missing"),
         ('[{"name": "fold"}]', "curves are missing"),
-        ('[{"name": "f", "parameters": ["a", "b"], "x": [], "y": []}]', "none over m and e"),
+        (
+            '[{"name": "f", "parameters": ["a", "b"], "x": [], "y": []}]',
+            "curves over m and e are missing",
+        ),
     ],
 )
 def test_a_file_without_curves_of_the_plane_is_refused(

@@ -14,6 +14,7 @@ import zeno_orbits as zo
 from tests.support import hard_to_prove
 from tests.support.antidamped_spring import LIFTED, SETS, numbers, threshold
 from tests.support.commands import MISUSE, YES, ask, examples
+from tests.support.orbits import shot_orbit
 from tests.support.units import Units, in_units
 from zeno_orbits.errors import InputError
 from zeno_orbits.maps import Pushes
@@ -224,7 +225,7 @@ def test_an_orbit_that_repels_is_refused_though_the_one_that_attracts_has_its_pe
 
 @pytest.mark.slow
 def test_pushes_that_no_simulation_can_follow_are_lost() -> None:
-    orbit = zo.find_orbit_by_shooting("motor_pendulum").unwrap()
+    orbit = shot_orbit("motor_pendulum")
     settings = zo.PushSettings(phases=1, steps=1, reach=1e100)
     found = zo.largest_push(orbit, directions=[{"theta2": 1.0}], settings=settings)
     assert found.least is not None

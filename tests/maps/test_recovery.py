@@ -19,6 +19,7 @@ from scipy.optimize import brentq
 import zeno_orbits as zo
 from tests.support import hard_to_prove
 from tests.support.commands import MISUSE, YES, ask, examples
+from tests.support.orbits import shot_orbit
 from tests.support.units import Units, in_units
 
 OMEGA, GRAVITY = 30.0, 9.81
@@ -70,7 +71,7 @@ def recovered(a: float, b: float, **settings: float) -> zo.Recovery:
 
 @cache
 def of_pendulum() -> tuple[zo.Orbit, zo.Recovery]:
-    orbit = zo.find_orbit_by_shooting("motor_pendulum").unwrap()
+    orbit = shot_orbit("motor_pendulum")
     return orbit, zo.recovery(orbit)
 
 
@@ -185,7 +186,7 @@ def test_the_recovery_is_the_same_in_other_units() -> None:
 
 
 def test_an_orbit_whose_section_is_a_point_recovers_in_one_period() -> None:
-    orbit = zo.find_orbit_by_shooting("motor_valve").unwrap()
+    orbit = shot_orbit("motor_valve")
     found = zo.recovery(orbit)
     assert (found.periods, found.contraction, found.radius) == (1, 0.0, math.inf)
     assert found.norm.shape == (0, 0)
@@ -204,7 +205,7 @@ def test_the_command_prints_time_ball_and_share(tmp_path: Path) -> None:
     data = json.loads((tmp_path / "recovery.json").read_text())
     assert data == ask("recovery", path, "--json").data
     assert data["radius"] == found.radius
-    point = zo.find_orbit_by_shooting("motor_valve").unwrap()
+    point = shot_orbit("motor_valve")
     zo.write_orbit(point, path)
     assert "The section of the orbit is a single point." in ask("recovery", path).out
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import zeno_orbits as zo
+from tests.support.orbits import event_orbit
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import (
     EventQuantities,
@@ -235,7 +236,7 @@ def test_unknown_quantities_are_refused(name: str, words: str) -> None:
 
 
 def test_a_certificate_holds_the_quantities() -> None:
-    orbit = zo.find_event_orbit("hopper")
+    orbit = event_orbit("hopper")
     certificate = zo.verify(orbit)
     assert certificate.quantities["stop.energy_lost"] == pytest.approx((2.0, 2.0))
     assert orbit.certificate["quantities"]["stop.impacts"] == [1.0, 1.0]

@@ -11,6 +11,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.cases import fast
+from tests.support.orbits import event_orbit
 from tests.support.pages import ROOT, blocks
 from zeno_orbits.errors import InputError, SimulationError
 
@@ -38,7 +39,7 @@ def _by_complex_step(w: float, name: str) -> tuple[float, float]:
 @pytest.fixture(scope="module")
 def hopper() -> zo.ReturnMap:
     assert dict(zo.load_problem("hopper").values().parameters) == HOPPER
-    return zo.return_map(zo.find_event_orbit("hopper"))
+    return zo.return_map(event_orbit("hopper"))
 
 
 def test_map_and_derivatives_of_the_hopper_are_its_closed_forms(hopper: zo.ReturnMap) -> None:
@@ -152,7 +153,7 @@ def test_a_point_is_a_state_from_which_the_motion_returns(pendulum: zo.Orbit) ->
 
 
 def test_the_map_of_a_section_that_is_a_point_is_empty() -> None:
-    found = zo.return_map(zo.find_event_orbit("vibrating_table"))
+    found = zo.return_map(event_orbit("vibrating_table"))
     assert found.coordinates == ()
     assert found.map([]).shape == (0,)
     assert found.jacobian.shape == (0, 0)

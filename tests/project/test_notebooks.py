@@ -16,7 +16,6 @@ from notebooks.run import differences
 
 ROOT = Path(__file__).parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-QUICK = "01_"
 LARGEST = 600_000
 """Bytes of a notebook, pictures included: a code host shows it at once."""
 
@@ -35,14 +34,8 @@ def test_a_notebook_shows_what_it_prints_and_draws(path: Path) -> None:
     assert path.stat().st_size < LARGEST
 
 
-@pytest.mark.parametrize(
-    "path",
-    [
-        pytest.param(path, marks=[] if path.name.startswith(QUICK) else [pytest.mark.slow])
-        for path in NOTEBOOKS
-    ],
-    ids=lambda path: path.stem,
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_fresh_run_prints_what_is_stored(path: Path) -> None:
     # A process of its own: what kernels warn of is not ours.
     words = [sys.executable, str(ROOT / "notebooks" / "run.py"), "--compare", path.stem[:2]]

@@ -170,6 +170,7 @@ def test_a_problem_reaches_new_processes_and_its_execution_comes_back(
     assert error.path == tmp_path
 
 
+@pytest.mark.slow
 def test_a_problem_goes_through_joblib(tmp_path: Path) -> None:
     joblib: Any = pytest.importorskip("joblib")
     problem = zo.load_problem(ball_file(tmp_path))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 import zeno_orbits as zo
+from tests.support.orbits import shot_orbit
 from zeno_orbits.continuation import (
     Continuation,
     Family,
@@ -125,7 +126,7 @@ def test_runs_and_recordings_show_their_span_and_their_size(orbit: zo.Orbit) -> 
 
 @pytest.mark.slow
 def test_proofs_and_fits_show_their_verdicts() -> None:
-    orbit = zo.find_orbit_by_shooting("vibrating_table").unwrap()
+    orbit = shot_orbit("vibrating_table")
     assert shown(zo.prove(orbit)).startswith(
         "<Proof of vibrating_table: Proved by inclusions: the return map"
     )

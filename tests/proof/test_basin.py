@@ -19,6 +19,7 @@ from scipy.integrate import solve_ivp
 
 import zeno_orbits as zo
 from tests.support.certificates import mutants
+from tests.support.orbits import shot_orbit
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError
 from zeno_orbits.orbits import Orbit
@@ -35,7 +36,7 @@ Certificate = dict[str, Any]
 
 @pytest.fixture(scope="module")
 def orbit() -> Orbit:
-    return zo.find_orbit_by_shooting("solenoid").unwrap()
+    return shot_orbit("solenoid")
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,7 @@ def test_an_orbit_whose_section_is_a_single_point_is_proved_without_a_set(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     path = tmp_path / "orbit.json"
-    zo.write_orbit(zo.find_orbit_by_shooting("forced_oscillator").unwrap(), path)
+    zo.write_orbit(shot_orbit("forced_oscillator"), path)
     assert main(["prove", str(path), "--basin"]) == 0
     told = capsys.readouterr().out
     assert "No set of initial states is proved beyond box 1: the section is a single point." in told
@@ -147,7 +148,7 @@ def test_a_printed_set_excludes_the_release_at_the_opposite_current(
     one = proof.basin["sine"]
     assert half <= (one.high - one.low) / 2
     assert Fraction(repr(proof.initial_states["sine"])) <= (one.high - one.low) / 2
-    print_basin(proof, zo.recovery(zo.find_orbit_by_shooting("solenoid").unwrap()))
+    print_basin(proof, zo.recovery(shot_orbit("solenoid")))
     assert proof.basin_box.contained()["sine"] in capsys.readouterr().out
 
 

@@ -17,6 +17,7 @@ import pytest
 import zeno_orbits as zo
 from tests.support import hard_to_prove, switched
 from tests.support.commands import MISUSE, NO, YES, ask
+from tests.support.orbits import shot_orbit
 from zeno_orbits.errors import InputError
 from zeno_orbits.work import ExecutionPlan, Workers
 
@@ -29,7 +30,7 @@ INTERVAL = ("A", 1.0, 1.001)
 
 @pytest.fixture(scope="module")
 def orbit() -> zo.Orbit:
-    return zo.find_orbit_by_shooting("forced_oscillator").unwrap()
+    return shot_orbit("forced_oscillator")
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ import zeno_orbits as zo
 from tests.reference.many_digits.execution import extended_execution
 from tests.support import hard_to_prove
 from tests.support.cases import fast
+from tests.support.orbits import shot_orbit
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof.arithmetic.balls import matrix
 from zeno_orbits.proof.integration.ball_system import BallSystem, PeriodStart, SectionKind
@@ -89,7 +90,7 @@ def test_a_single_point_is_enclosed(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("radius", [1e-12, 1e-8])
 def test_points_anywhere_in_a_box_are_enclosed(radius: float) -> None:
-    orbit = zo.find_orbit_by_shooting("torque_pendulum").unwrap()
+    orbit = shot_orbit("torque_pendulum")
     random = np.random.default_rng(1)
     corners = [[1.0, 1.0], [-1.0, 1.0]]
     for shares in (*corners, *random.uniform(-1.0, 1.0, (2, 2)).tolist()):

@@ -18,6 +18,7 @@ from tests.support.certificates import (
     digest_of,
     text_of,
 )
+from tests.support.orbits import shot_orbit
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import CompletedSystem, ImpactLaw, Problem, load_problem
 from zeno_orbits.proof import check_proof
@@ -270,7 +271,8 @@ PULLED = ("m", "c", "k", "A")
 NEGATIVE = {name: (one.rest[0], PULLED) for name, one in sheets.MACHINES.items()}
 
 
-@pytest.mark.parametrize("name", fast(1, NEGATIVE))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NEGATIVE)
 def test_a_machine_whose_stop_pulls_is_refused_by_prover_and_checker(name: str) -> None:
     # The motion is the same if mass, damping, stiffness and force change their signs together.
     rest, names = NEGATIVE[name]
@@ -409,7 +411,7 @@ def test_a_constraint_with_a_branch_in_the_way_proves_no_orbit() -> None:
 
 @pytest.mark.slow
 def test_a_gap_with_a_hole_in_the_way_is_refused_by_the_checker() -> None:
-    orbit = zo.find_orbit_by_shooting("vibrating_table").unwrap()
+    orbit = shot_orbit("vibrating_table")
     certificate = dict(zo.prove(orbit).certificate)
     assert check_proof(certificate).ok
     assert "a divisor may be zero" in _refusal(*_of(certificate, _with_a_hole))

@@ -14,6 +14,7 @@ import pytest
 import zeno_orbits as zo
 from tests.support import hard_to_prove
 from tests.support.cases import fast
+from tests.support.orbits import shot_orbit
 from zeno_orbits.errors import TranslationError
 from zeno_orbits.proof import Proof, check_proof
 
@@ -181,7 +182,7 @@ def test_the_checker_has_every_operation_of_the_prover(name: str) -> None:
 def test_an_operation_without_a_rule_is_named(
     operation: Callable[[ca.SX], ca.SX], error: type[Exception], words: str
 ) -> None:
-    orbit = zo.find_orbit_by_shooting("forced_oscillator").unwrap()
+    orbit = shot_orbit("forced_oscillator")
     problem = hard_to_prove.with_force(lambda d: 0 * d - 1e-9 * operation(d + 9))
     with pytest.raises(error, match=words):
         zo.prove(replace(orbit, problem_digest="", problem=problem.name), problem=problem)
@@ -189,7 +190,7 @@ def test_an_operation_without_a_rule_is_named(
 
 @pytest.mark.slow
 def test_parameters_that_vary_may_be_named_in_any_order() -> None:
-    orbit = zo.find_orbit_by_shooting("motor_valve").unwrap()
+    orbit = shot_orbit("motor_valve")
     ranges = {"restitution": 1e-5, "V0": 1e-7}
     for names in (("restitution", "V0"), ("V0", "restitution")):
         proof = zo.prove(orbit, interval={name: ranges[name] for name in names})

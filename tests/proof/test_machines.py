@@ -14,6 +14,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.cases import fast
+from tests.support.orbits import event_orbit
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import CompletedSystem, Problem, load_problem
 from zeno_orbits.orbits import Orbit
@@ -64,7 +65,7 @@ def proof(machine: Problem, orbit: Orbit) -> Proof:
 
 @pytest.fixture(scope="module")
 def hopper() -> Proof:
-    return zo.prove(zo.find_event_orbit("hopper"))
+    return zo.prove(event_orbit("hopper"))
 
 
 def test_stops_and_switches_that_are_not_met_change_no_digit(
@@ -184,7 +185,7 @@ def test_no_edited_certificate_of_a_machine_is_accepted(hopper: Proof, name: str
 
 @pytest.mark.slow
 def test_the_clapper_is_released_where_the_force_is_that_of_the_spring() -> None:
-    proof = zo.prove(zo.find_event_orbit("clapper"))
+    proof = zo.prove(event_orbit("clapper"))
     assert proof.proved, proof.verdict()
     assert proof.bounds is not None
     assert proof.events[0].startswith("Zeno point of")
@@ -199,7 +200,7 @@ def test_the_clapper_is_released_where_the_force_is_that_of_the_spring() -> None
 
 @pytest.mark.slow
 def test_the_relay_is_proved_through_its_switches() -> None:
-    proof = zo.prove(zo.find_event_orbit("relay"))
+    proof = zo.prove(event_orbit("relay"))
     assert proof.proved, proof.verdict()
     assert proof.bounds is not None
     assert proof.stable
@@ -210,7 +211,7 @@ def test_the_relay_is_proved_through_its_switches() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["s", "restitution"])
 def test_the_hopper_is_proved_over_an_interval_that_holds_its_closed_form(name: str) -> None:
-    proof = zo.prove(zo.find_event_orbit("hopper"), interval={name: 1e-9})
+    proof = zo.prove(event_orbit("hopper"), interval={name: 1e-9})
     assert proof.proved, proof.verdict()
     assert proof.bounds is not None
     speed = proof.bounds.start_state["speed"]

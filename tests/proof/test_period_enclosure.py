@@ -22,6 +22,7 @@ import zeno_orbits as zo
 from tests.support import hard_to_prove, magnet_spot
 from tests.support.cases import fast
 from tests.support.commands import NO, YES, ask
+from tests.support.orbits import shot_orbit
 from zeno_orbits.orbits import OrbitPhase, PhaseKind
 
 CLOSE = 1e-10
@@ -31,12 +32,12 @@ DIGITS = 120
 
 @pytest.fixture(scope="module")
 def table() -> zo.Orbit:
-    return zo.find_orbit_by_shooting("vibrating_table").unwrap()
+    return shot_orbit("vibrating_table")
 
 
 @pytest.fixture(scope="module")
 def surface() -> zo.Orbit:
-    return zo.find_orbit_by_shooting("curved_surface").unwrap()
+    return shot_orbit("curved_surface")
 
 
 @pytest.mark.parametrize(
@@ -325,7 +326,7 @@ def test_numbers_of_no_execution_are_refused(table: zo.Orbit, name: str) -> None
 
 
 def test_a_period_with_a_phase_left_out_is_refused() -> None:
-    orbit = zo.find_orbit_by_shooting("two_tone_table").unwrap()
+    orbit = shot_orbit("two_tone_table")
     found = zo.enclose_period(orbit.with_phases(orbit.phases[:1]))
     assert found.claim == "release_time"
 

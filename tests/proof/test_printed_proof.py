@@ -21,6 +21,7 @@ import pytest
 import zeno_orbits as zo
 from tests.support import hard_to_prove, sheets
 from tests.support.cases import fast
+from tests.support.orbits import shot_orbit
 from tests.support.pages import ROOT
 from zeno_orbits.proof import Proof, check_proof
 from zeno_orbits.proof.theorem import ProvedInterval, SectionBox, double_below
@@ -307,7 +308,7 @@ def test_the_data_hold_the_release_and_the_period_of_the_valve(proofs: dict[str,
     data = proofs["motor_valve"].as_json()
     low, high = read(data["start_state"]["current"])
     assert low <= p["preload"] / p["K_torque"] <= high
-    orbit = zo.find_orbit_by_shooting("motor_valve").unwrap()
+    orbit = shot_orbit("motor_valve")
     (phase,) = orbit.phases
     assert phase.zeno_state is not None
     with mp.workdps(30):
@@ -342,7 +343,7 @@ def test_boxes_and_discs_of_the_data_contain_the_proved_ones(proofs: dict[str, P
 
 def test_a_tiny_box_is_printed_with_the_orbit_in_it() -> None:
     # Ten digits of the middle would leave the orbit outside.
-    proof = zo.prove(zo.find_orbit_by_shooting("curved_surface").unwrap(), radius=1e-13)
+    proof = zo.prove(shot_orbit("curved_surface"), radius=1e-13)
     assert proof.bounds is not None
     for name, one in proof.boxes[0].coordinates.items():
         orbit = proof.bounds.start_state[name]
@@ -417,7 +418,7 @@ def _shrinks(proof: Proof) -> bool:
 def test_a_box_that_is_mapped_into_its_interior_is_contracted_and_no_other_is(
     proofs: dict[str, Proof],
 ) -> None:
-    torque = zo.prove(zo.find_orbit_by_shooting("torque_pendulum").unwrap())
+    torque = zo.prove(shot_orbit("torque_pendulum"))
     assert torque.inside
     assert _shrinks(torque)
     assert not proofs["curved_surface"].inside
@@ -477,7 +478,7 @@ def test_a_claim_of_a_certificate_is_about_the_orbit_of_its_first_box(
 
 
 def test_parameters_that_vary_are_named_with_those_that_do_not() -> None:
-    orbit = zo.find_orbit_by_shooting("vibrating_table").unwrap()
+    orbit = shot_orbit("vibrating_table")
     # Two digits of this radius, rounded up, would be a range that is not proved.
     radius = 1.2345e-9
     proof = zo.prove(orbit, interval={"A": radius})
@@ -503,7 +504,7 @@ def test_multipliers_are_printed_as_lying_in_a_union_of_discs(proofs: dict[str, 
 
 @pytest.mark.slow
 def test_calibrated_parameters_are_named_as_held_fixed() -> None:
-    orbit = zo.find_orbit_by_shooting("motor_pendulum").unwrap()
+    orbit = shot_orbit("motor_pendulum")
     proof = zo.prove(orbit, interval={"m2": 1e-11})
     assert proof.proved, proof.verdict()
     # The back-EMF constant is the torque constant by default.

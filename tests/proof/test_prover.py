@@ -14,6 +14,7 @@ import pytest
 import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.commands import MISUSE, NO, YES, ask
+from tests.support.orbits import shot_orbit
 from zeno_orbits.model import CompletedSystem, Problem, load_problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof import ProofSettings, check_proof, prove_orbit
@@ -21,12 +22,12 @@ from zeno_orbits.proof import ProofSettings, check_proof, prove_orbit
 
 @pytest.fixture(scope="module")
 def table() -> Orbit:
-    return zo.find_orbit_by_shooting("vibrating_table").unwrap()
+    return shot_orbit("vibrating_table")
 
 
 @pytest.fixture(scope="module")
 def surface() -> Orbit:
-    return zo.find_orbit_by_shooting("curved_surface").unwrap()
+    return shot_orbit("curved_surface")
 
 
 def test_the_orbit_of_the_vibrating_table_is_proved_and_its_certificate_holds(
@@ -173,7 +174,7 @@ def test_what_is_no_orbit_is_not_proved(table: Orbit, surface: Orbit, name: str)
 def test_a_basin_is_much_larger_than_a_box_lies_in_the_sampled_ball_and_its_certificate_holds() -> (
     None
 ):
-    orbit = zo.find_orbit_by_shooting("torque_pendulum").unwrap()
+    orbit = shot_orbit("torque_pendulum")
     box, basin = zo.prove(orbit), zo.prove(orbit, basin=True)
     ball = zo.recovery(orbit)
     assert basin.inside
@@ -218,7 +219,7 @@ def test_a_multiplier_that_is_not_the_stops_is_not_proved(table: Orbit) -> None:
 def test_a_stop_that_pulls_for_a_moment_is_not_proved() -> None:
     # The table of two tones throws the ball twice a turn; an orbit that is held the second time
     # would have to be pulled.
-    orbit = zo.find_orbit_by_shooting("two_tone_table").unwrap()
+    orbit = shot_orbit("two_tone_table")
     assert orbit.shape.text == "zeno*2"
     pulled = orbit.with_phases(orbit.phases[:1])
     proof = zo.prove(pulled)
@@ -240,9 +241,7 @@ def test_an_orbit_is_proved_over_an_interval_of_any_number(table: Orbit, name: s
 @pytest.mark.slow
 def test_an_orbit_is_proved_wherever_its_stop_is_within_an_interval() -> None:
     # Steps are long here: the checker must not find derivatives wider than the prover does.
-    proof = zo.prove(
-        zo.find_orbit_by_shooting("forced_oscillator").unwrap(), interval={"stop": 1e-9}
-    )
+    proof = zo.prove(shot_orbit("forced_oscillator"), interval={"stop": 1e-9})
     assert proof.proved, proof.verdict()
     assert check_proof(dict(proof.certificate)).ok
 

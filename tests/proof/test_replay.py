@@ -13,6 +13,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import MISUSE, NO, YES, ask
+from tests.support.orbits import shot_orbit
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof import replay_proof
 
@@ -62,7 +63,7 @@ def dynamics(values):
 
 @pytest.fixture(scope="module")
 def table() -> Orbit:
-    return zo.find_orbit_by_shooting("vibrating_table").unwrap()
+    return shot_orbit("vibrating_table")
 
 
 @pytest.fixture(scope="module")

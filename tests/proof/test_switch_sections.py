@@ -14,6 +14,7 @@ from flint import acb, arb, ctx
 import zeno_orbits as zo
 from tests.support import switched
 from tests.support.cases import fast
+from tests.support.orbits import event_orbit
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
 from zeno_orbits.proof import Proof, check_proof
@@ -193,7 +194,7 @@ def test_a_wheel_whose_strike_is_not_armed_is_not_proved() -> None:
 
 @pytest.mark.slow
 def test_a_step_of_the_compass_walker_is_proved_at_the_multipliers_of_its_variations() -> None:
-    orbit = zo.find_event_orbit("compass_walker")
+    orbit = event_orbit("compass_walker")
     proof = zo.prove(orbit, radius=1e-9)
     assert proof.proved, proof.verdict()
     assert proof.bounds is not None

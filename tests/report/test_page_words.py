@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import zeno_orbits as zo
+from tests.support.orbits import shot_orbit
 from tests.support.periods_by_hand import arc, impact, system, zeno
 from zeno_orbits.orbits import EventSequence
 from zeno_orbits.report.page import Bundle, page_of, words
@@ -187,7 +188,7 @@ def test_no_sentence_claims_more_than_a_verification_computes() -> None:
 def test_an_orbit_whose_stability_is_unknown_is_not_called_unstable(
     multiplier: float, told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    orbit = zo.find_orbit_by_shooting("vibrating_table").unwrap()
+    orbit = shot_orbit("vibrating_table")
     certificate = replace(GOOD, multipliers=(complex(multiplier),))
     print_summary(zo.load_problem("vibrating_table"), orbit, certificate)
     page = " ".join(capsys.readouterr().out.split())

@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 
 import zeno_orbits as zo
 from tests.reference.relay_by_hand import lost_by_hand, period_by_hand, relay_by_hand
+from tests.support.orbits import event_orbit
 from tests.support.relays import UNCERTAIN, pulsed_relay, switching_times
 
 # The hopper: impact speed v with v^2 = 2 a s / (1 - e^2), loss a s, multiplier e^2.
@@ -196,7 +197,7 @@ def table_impacts(amplitude: float) -> tuple[float, list[float], list[float]]:
 
 def test_quantities_of_one_stop_have_their_closed_form() -> None:
     takeoff, times, speeds = table_impacts(0.015)
-    found = zo.find_event_orbit("vibrating_table").certificate["quantities"]
+    found = event_orbit("vibrating_table").certificate["quantities"]
     wanted = {
         "release_time": takeoff,
         "impact_time": times[0],

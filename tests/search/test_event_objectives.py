@@ -18,6 +18,7 @@ from scipy.optimize import brentq, minimize_scalar
 import zeno_orbits as zo
 from tests.support.cases import fast
 from tests.support.coil_hopper import COIL_HOPPER, CoilHop, wave_coil
+from tests.support.orbits import event_orbit
 from zeno_orbits.orbits import (
     EventCourse,
     EventReturn,
@@ -384,7 +385,7 @@ def test_a_search_starts_at_a_known_orbit_and_takes_its_values(tmp_path: Path) -
 
 @pytest.mark.slow
 def test_a_known_orbit_that_is_lost_on_the_way_is_named() -> None:
-    known = zo.find_event_orbit("hopper")
+    known = event_orbit("hopper")
     with pytest.raises(zo.SimulationError, match="known orbit is lost"):
         # The push no longer carries the mass.
         zo.find_event_orbit("hopper", near=known, parameters={"a": 5.0})
@@ -420,7 +421,7 @@ def test_a_machine_without_a_source_has_no_energy_to_save() -> None:
 
 
 def test_a_known_orbit_of_another_machine_or_format_is_refused() -> None:
-    orbit = zo.find_event_orbit("hopper")
+    orbit = event_orbit("hopper")
     with pytest.raises(zo.InputError, match="must be an orbit of `coil_hopper`"):
         zo.find_event_orbit(COIL_HOPPER, near=orbit)
 

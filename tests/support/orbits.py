@@ -25,6 +25,12 @@ def event_orbit(name: str, section: str | None = None, **numbers: float) -> zo.O
     return zo.find_event_orbit(name, parameters=numbers, section=section)
 
 
+@cache
+def shot_orbit(name: str) -> zo.Orbit:
+    """Return the orbit of a bundled problem by shooting, which a process searches once."""
+    return zo.find_orbit_by_shooting(name).unwrap()
+
+
 def changed(orbit: Orbit, place: int = 0, **entries: Any) -> Orbit:
     """Return an orbit with other entries; those of a phase are changed in one of them.
 

@@ -19,6 +19,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.mechanisms import machine_of
+from tests.support.orbits import event_orbit
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Automatic, Segment, SegmentResult, Tolerance
 from zeno_orbits.model import GraphDynamics, HybridDynamics, StateLimit, load_problem
@@ -380,7 +381,7 @@ def test_a_state_that_is_small_at_the_events_has_its_size_between_them() -> None
 
 
 def test_a_height_that_is_zero_at_the_events_has_its_size_between_them() -> None:
-    table = zo.find_event_orbit("vibrating_table")
+    table = event_orbit("vibrating_table")
     compared = {"zeno": "zeno_point"}.get(table.events[-1].word, "closure")
     run = zo.simulate("vibrating_table", start=table.start_state, until=table.period)
     highest = float(np.max(run.sampled()[1][:, 0]))

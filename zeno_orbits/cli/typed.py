@@ -13,6 +13,7 @@ _UNKNOWN = re.compile(
     r"( Did you mean `[^`]*`\?)? Known: (.*)\."
 )
 _ARGUMENT = re.compile(r"Argument `([^`]+)`:? (.*)", flags=re.DOTALL)
+_BOTH_NAMES = re.compile(r"`\w+` \((--[a-z-]+)\)")
 _FILE = re.compile(r"[A-Z][a-z]+ file `")
 _ROOM_NAMES = {
     "direction": "--directions",
@@ -41,6 +42,7 @@ def as_typed(message: str, words: Sequence[str], options: argparse.Namespace) ->
         words: The command line.
         options: The parsed options, with the parser of the command.
     """
+    message = with_options(message)
     found = _UNKNOWN.fullmatch(message)
     typed = "" if found is None else _option_of_name(found[2], words)
     if found is not None and typed:
@@ -63,6 +65,11 @@ def as_typed(message: str, words: Sequence[str], options: argparse.Namespace) ->
         or _positional(about[1], options)
     )
     return f"{label}: {about[2]}" if label else message
+
+
+def with_options(message: str) -> str:
+    """Return a message with the option alone if it names an argument and its option."""
+    return _BOTH_NAMES.sub(r"\1", message)
 
 
 def _positional(argument: str, options: argparse.Namespace) -> str:

@@ -222,8 +222,8 @@ def require_plane(plane: Plane) -> Plane:
             raise InputError(f"Argument `points` {wanted}, but it is {shown(axis.count)}.")
     count = plane.x.count * plane.y.count
     if count > _MOST:
-        asked = f"{plane.x.count} x {plane.y.count} are {count}"
-        raise InputError(f"Argument `points` must ask for at most {_MOST} points, but {asked}.")
+        made = f"{plane.x.count} values and {plane.y.count} of `y` make {count} points"
+        raise InputError(f"Argument `x`: {made}, more than {_MOST}. Ask for fewer values.")
     axes = {name: _checked(problem, plane, name) for name in ("x", "y")}
     _require_clock(problem, problem.values(gains=plane.gains, parameters=plane.parameters), plane)
     return replace(plane, x=axes["x"], y=axes["y"], until=plane.time)

@@ -25,6 +25,7 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.outputs import PICTURE, SAMPLES, require_outputs
 from zeno_orbits.cli.parsing import read_count, read_number, read_seed
+from zeno_orbits.cli.typed import with_options
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.report import terminal as report
 
@@ -168,7 +169,7 @@ def _run_simulate(options: argparse.Namespace) -> int:
         zo.write_recording(recording, options.output)
         say_written(options, [options.output])
     if stopped is not None:
-        report.print_error(str(stopped))
+        report.print_error(with_options(str(stopped)))
         return NO
     return YES
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import counted
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_fit import ContactFit, fit_contacts
 from zeno_orbits.experiment.comparison.contact_gaps import contradictions
@@ -68,6 +69,8 @@ _STRAY = 0.1
 """Part of the variance that may be nonperiodic without a remark: harmonics do not fit jumps."""
 _SETTLING = 3.0
 """Factor over the deviation of later cycles above which a cycle counts as transient."""
+_STRAYS, _FAR = 2e-3, 5.0
+"""Largest part of the values that may be strays, and their distance in ranges of the others."""
 _CLIPPED = 0.01
 """Part of the samples that sit at an extreme in a signal that is cut off there."""
 
@@ -445,7 +448,22 @@ def _oddities(
             if _CLIPPED < share < 0.2 and len(np.unique(row[:2000])) > 200:
                 what = f"{100 * share:.2g} % of its values are {extreme:.6g}"
                 remarks.append(f"`{name}` looks cut off: {what}")
+        remarks += _stray(name, recording)
     return remarks
+
+
+def _stray(name: str, recording: Recording) -> list[str]:
+    """Return a remark on the few values of a signal that are far from all others."""
+    row = recording.signal(name).values
+    low, high = np.nanquantile(row, [_STRAYS, 1.0 - _STRAYS])
+    reach = _FAR * (high - low)
+    far = np.flatnonzero((row < low - reach) | (row > high + reach))
+    if not far.size or reach == 0.0:
+        return []
+    most = far[np.argmax(np.abs(row[far] - low))]
+    what = f"{counted(far.size, 'value')} far from all others"
+    where = f"{row[most]:.6g} at {recording.time[most]:g} s"
+    return [f"`{name}` has {what} ({where}): correct or empty {'it' if far.size == 1 else 'them'}"]
 
 
 def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:

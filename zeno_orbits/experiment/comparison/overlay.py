@@ -45,6 +45,8 @@ _ONCE, _MOST_OFF = 1.5, 0.3
 the orbit's period by which that of the record may differ then."""
 _SEVERAL = 0.05
 """Part of a period by which the orbit's may differ from several periods of a record."""
+_MULTIPLES = (1, 2, 3, 4)
+"""Periods of the orbit after which a motion may repeat."""
 _SURE = 4.0
 """Number of standard errors above which a difference is significant."""
 _LARGEST = 1e100
@@ -145,7 +147,15 @@ class Overlay:
                     f"`{one.name}` moves differently: its correlation with the orbit is "
                     f"{one.correlation:.2f}"
                 )
-        return reasons + self._multiples(ratio)
+        return [*self._other_clock(ratio), *reasons, *self._multiples(ratio)]
+
+    def _other_clock(self, ratio: float) -> list[str]:
+        """Return that the times look scaled, if no signal is alike at another period."""
+        strange = [one.differs and one.correlation < _LIKE for one in self.where.likeness]
+        is_multiple = any(abs(ratio / multiple - 1.0) < 0.1 for multiple in _MULTIPLES)
+        if self.where.time_suspicion or not all(strange) or not strange or is_multiple:
+            return []
+        return [f"the period is {ratio:.3g} times the orbit's: check the column of times"]
 
     def _multiples(self, ratio: float) -> list[str]:
         """Return why the motion is one of several of the orbit's periods, if it is."""
@@ -154,7 +164,7 @@ class Overlay:
         if self.alternates and found.paired and not self.halves_differ:
             doubled = f"the period is doubled, {2 * found.period:.6g} s"
             if self.n_cycles < _PAIRS:
-                doubled = f"the motion has not settled, or {doubled}"
+                doubled = f"the motion has not settled (take a later --t-start), or {doubled}"
             reasons.append(
                 f"every other cycle differs by {100 * found.alternation:.2g} % of the signals: "
                 f"{doubled}"
@@ -162,7 +172,7 @@ class Overlay:
         unlike = any(one.differs and one.correlation < _LIKE for one in self.where.likeness)
         reasons += [
             f"the motion repeats after {multiple} of the orbit's periods only"
-            for multiple in (2, 3, 4)
+            for multiple in _MULTIPLES[1:]
             if unlike and abs(ratio / multiple - 1.0) < 0.1
         ]
         return reasons

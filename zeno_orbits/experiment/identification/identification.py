@@ -224,7 +224,7 @@ def fit_parameters(
             raise
         raise UnfittableError(f"{error} Note: {'; '.join(whole.remarks)}.") from error
     remarks = [*whole.remarks, *_unsettled(answer, whole)]
-    edges = _fitted_edges(whole, answer)
+    edges = _fitted_edges(whole, answer, labels)
     additive = [label for label, mark in zip(labels, unknowns.additive, strict=True) if mark]
     # Of changes relative to the fitted values, which are negative where a negative value grows.
     signs = np.where(unknowns.numbers(answer.x) < 0.0, -1.0, 1.0)
@@ -358,7 +358,7 @@ def _nearest(
         raise refusal("the orbit is lost on the way to the recording's") from error
 
 
-def _fitted_edges(whole: Prepared, answer: Fit) -> Vector:
+def _fitted_edges(whole: Prepared, answer: Fit, labels: Sequence[str]) -> Vector:
     """Return the residuals of the contact channels, in units of their errors.
 
     Raises:
@@ -367,11 +367,22 @@ def _fitted_edges(whole: Prepared, answer: Fit) -> Vector:
     if answer.repeating > _ALIEN or _lost(whole.samples, answer):
         size = answer.after if _lost(whole.samples, answer) else answer.repeating
         off = f"the nearest orbit is {100 * size:.2g} % of the signals' ranges off"
-        raise refusal(f"{off}, in every cycle")
+        raise refusal(f"{off}, in every cycle{_widen(labels, whole.orbits.unknowns, answer.x)}")
     edges = answer.residuals[answer.data.values.size : -1]
     if np.any(np.abs(edges) >= UNMATCHED):
         raise refusal("the nearest orbit lacks contacts of the recording, or has others")
     return edges
+
+
+def _widen(labels: Sequence[str], unknowns: Unknowns, x: Vector) -> str:
+    """Return the clause that names values at an end of their ranges, or no text."""
+    rows = zip(labels, unknowns.numbers(x), unknowns.lower, unknowns.upper, strict=True)
+    ends = [
+        f"`{label}` is at the end {value:.6g} of its range"
+        for label, value, low, high in rows
+        if min(value - low, high - value) < _EDGE * (high - low)
+    ]
+    return f"; {' and '.join(ends)}: widen it" if ends else ""
 
 
 def _lost(samples: Folded, answer: Fit) -> bool:

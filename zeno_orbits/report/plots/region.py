@@ -54,9 +54,8 @@ def plot_zeno_set(
     """
     if not has_zeno_region(dynamics):
         raise InputError(
-            "Argument `problem` must have neither holonomic constraints nor a clock to show its "
-            f"Zeno equilibria in a plane (`region`), but `{problem.name}` has. Choose another kind "
-            "of picture, such as `portraits`."
+            f"Argument `kind`: `{problem.name}` has a clock or a holonomic constraint, so its Zeno "
+            "equilibria do not fill a plane (`region`). Choose another kind, such as `portraits`."
         )
     n_q, base = dynamics.n_q, _base(problem, dynamics)
     across = _free_coordinate(dynamics, base)
