@@ -138,6 +138,8 @@ def test_a_file_of_another_motion_is_refused() -> None:
 def test_a_second_file_belongs_to_one_transient(tmp_path: object) -> None:
     with pytest.raises(InputError, match="Argument `second_file` belongs to a single trial"):
         zo.identify("bouncing_ball", [_first(), _first()], ["restitution"], second_file=_second())
+    with pytest.raises(InputError, match="`second_file` holds the first recording again: give"):
+        zo.identify("bouncing_ball", _first(), ["restitution"], second_file=_first())
     with pytest.raises(InputError, match="Argument `second_file` needs transients"):
         zo.identify(
             "bouncing_ball", _first(), ["restitution"], second_file=_second(), transient=False

@@ -387,6 +387,9 @@ def _require_one_trial(trials: Sequence[tuple[str, Recording]], second: SecondFi
     if second is not None and len(trials) > 1:
         wanted = f"belongs to a single trial, but {len(trials)} recordings are given"
         raise InputError(f"Argument `second_file` {wanted}: omit one of both.")
+    if second is not None and any(one == second.recording for _, one in trials):
+        wanted = "holds the first recording again: give the file of another instrument"
+        raise InputError(f"Argument `second_file` {wanted}.")
 
 
 def _are_transients(

@@ -45,8 +45,10 @@ _ONCE, _MOST_OFF = 1.5, 0.3
 the orbit's period by which that of the record may differ then."""
 _SEVERAL = 0.05
 """Part of a period by which the orbit's may differ from several periods of a record."""
-_MULTIPLES = (1, 2, 3, 4)
+_MULTIPLES = (2, 3, 4)
 """Periods of the orbit after which a motion may repeat."""
+_SCALED = 1.6
+"""Ratio of periods from which the times are more likely scaled than those of another machine."""
 _SURE = 4.0
 """Number of standard errors above which a difference is significant."""
 _LARGEST = 1e100
@@ -147,13 +149,17 @@ class Overlay:
                     f"`{one.name}` moves differently: its correlation with the orbit is "
                     f"{one.correlation:.2f}"
                 )
-        return [*self._other_clock(ratio), *reasons, *self._multiples(ratio)]
+        return [*self._other_clock(), *reasons, *self._multiples(ratio)]
 
-    def _other_clock(self, ratio: float) -> list[str]:
+    def _other_clock(self) -> list[str]:
         """Return that the times look scaled, if no signal is alike at another period."""
         strange = [one.differs and one.correlation < _LIKE for one in self.where.likeness]
-        is_multiple = any(abs(ratio / multiple - 1.0) < 0.1 for multiple in _MULTIPLES)
-        if self.where.time_suspicion or not all(strange) or not strange or is_multiple:
+        if self.where.time_suspicion or not strange or not all(strange):
+            return []
+        # The overlay may have several periods of the record in one of the orbit.
+        once = periodicity(self.time, self.values)
+        ratio = 1.0 if once is None else once.period / self.table.period
+        if 1.0 / _SCALED < ratio < _SCALED or any(abs(ratio / k - 1.0) < 0.1 for k in _MULTIPLES):
             return []
         return [f"the period is {ratio:.3g} times the orbit's: check the column of times"]
 
@@ -172,7 +178,7 @@ class Overlay:
         unlike = any(one.differs and one.correlation < _LIKE for one in self.where.likeness)
         reasons += [
             f"the motion repeats after {multiple} of the orbit's periods only"
-            for multiple in _MULTIPLES[1:]
+            for multiple in _MULTIPLES
             if unlike and abs(ratio / multiple - 1.0) < 0.1
         ]
         return reasons

@@ -64,7 +64,7 @@ class BallMachine:
             if any(ca.SX(one.guard).is_constant() for one in graph.switches):
                 reason = "an event of a stop sets states anew, or a guard is constant"
             if graph.n_frictions:
-                reason = "a part has dry friction, which sticks"
+                reason = "a part has dry friction, and no lemma covers a part that sticks"
             if reason:
                 raise ProofError("shape", reason)
             self.stop_names = tuple(one.name for one in watched(graph.stops))
