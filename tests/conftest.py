@@ -36,6 +36,8 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.freeze()
+        # Tests make few cycles: to look for them as often as Python does takes a twentieth.
+        gc.set_threshold(50_000, 50, 100)
         gc.enable()
 
 

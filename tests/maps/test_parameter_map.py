@@ -137,7 +137,7 @@ def test_a_point_whose_derived_numbers_do_not_exist_fails_by_itself() -> None:
         ({"x": Axis(name="m", lower=1.0, upper=2.0, count=1)}, "`points` must be at least 2x2"),
         (
             {"x": Axis(name="m", lower=1.0, upper=2.0, count=10_000_000)},
-            "`x`: 10000000 values and 3 of `y` make 30000000 points, more than 10000000. Ask",
+            "`x`: 10000000 values and 2 of `y` make 20000000 points, more than 10000000. Ask",
         ),
         ({"parameters": {"m": 1.0}}, "`x` must name a free quantity, but `m` is"),
         ({"parameters": {"mass": 1.0}}, "unknown parameter `mass`"),
