@@ -23,6 +23,7 @@ from zeno_orbits.experiment import (
 from zeno_orbits.experiment.comparison.alignment import aligned
 from zeno_orbits.experiment.comparison.folding import MOST, Folded, folded
 from zeno_orbits.experiment.identification.event_period import event_period, orbit_slope
+from zeno_orbits.experiment.identification.identification import ends_clause
 from zeno_orbits.experiment.identification.least_squares import Fit, Weighed, fit, weighed
 from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.prepared import prepared
@@ -351,6 +352,19 @@ def remembered(rng: np.random.Generator, n: int, samples: int = 8) -> np.ndarray
     for k in range(1, n):
         found[k] = keep * found[k - 1] + math.sqrt(1 - keep**2) * found[k]
     return found
+
+
+def test_values_at_an_end_of_their_range_are_named(problem: Problem) -> None:
+    numbers = {name: problem.values().number(name) for name in NAMES}
+    sought = [FitParameter(names=(n,), lower=0.5 * v, upper=2.0 * v) for n, v in numbers.items()]
+    unknowns = unknowns_of(problem, problem.values(), sought)
+    inside = unknowns.first
+    assert ends_clause(NAMES, unknowns, inside) == ""
+    for place, factor in ((0, 0.5), (1, 2.0)):
+        x = inside.copy()
+        x[place] *= factor
+        end = f"`{NAMES[place]}` is at the end {factor * numbers[NAMES[place]]:.6g} of its range"
+        assert ends_clause(NAMES, unknowns, x) == f"; {end}: widen it"
 
 
 def test_an_interval_of_95_percent_is_students() -> None:

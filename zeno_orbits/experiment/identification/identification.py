@@ -367,14 +367,16 @@ def _fitted_edges(whole: Prepared, answer: Fit, labels: Sequence[str]) -> Vector
     if answer.repeating > _ALIEN or _lost(whole.samples, answer):
         size = answer.after if _lost(whole.samples, answer) else answer.repeating
         off = f"the nearest orbit is {100 * size:.2g} % of the signals' ranges off"
-        raise refusal(f"{off}, in every cycle{_widen(labels, whole.orbits.unknowns, answer.x)}")
+        raise refusal(
+            f"{off}, in every cycle{ends_clause(labels, whole.orbits.unknowns, answer.x)}"
+        )
     edges = answer.residuals[answer.data.values.size : -1]
     if np.any(np.abs(edges) >= UNMATCHED):
         raise refusal("the nearest orbit lacks contacts of the recording, or has others")
     return edges
 
 
-def _widen(labels: Sequence[str], unknowns: Unknowns, x: Vector) -> str:
+def ends_clause(labels: Sequence[str], unknowns: Unknowns, x: Vector) -> str:
     """Return the clause that names values at an end of their ranges, or no text."""
     rows = zip(labels, unknowns.numbers(x), unknowns.lower, unknowns.upper, strict=True)
     ends = [
