@@ -27,7 +27,7 @@ from zeno_orbits.experiment.rig import (
     damping_number,
     effective_restitution,
 )
-from zeno_orbits.experiment.rig.controller import BridgeLeg, Encoders, level, pulse
+from zeno_orbits.experiment.rig.controller import ArcReadings, BridgeLeg, Encoders, level, pulse
 from zeno_orbits.experiment.rig.cycle_comparison import (
     OrbitCurve,
     drift,
@@ -267,6 +267,41 @@ def test_noise_comes_from_its_seed() -> None:
     assert np.std(draws) == pytest.approx(0.1, rel=4 / math.sqrt(2 * 4000))
 
 
+def test_an_event_of_a_parabola_is_read_exactly_between_two_readings() -> None:
+    arc = ArcReadings(0.02, 1)
+    for k in range(101):
+        time = k * 1e-3
+        arc.add(time, np.array([0.3 + 2.0 * time - 40.0 * time**2, 0.0, 7.0]))
+    known = arc.estimate(0.1004, np.array([9.0, 9.0, 7.0]))
+    exact = [0.3 + 2.0 * 0.1004 - 40.0 * 0.1004**2, 2.0 - 80.0 * 0.1004, 7.0]
+    assert known == pytest.approx(exact, rel=1e-10)
+    # Readings before a jump would bend the parabola: they are dropped, and three are no fit.
+    arc.clear()
+    for k in range(3):
+        arc.add(0.2 + k * 1e-3, np.array([1.0, 0.0, 0.0]))
+    last = np.array([0.5, -1.0, 0.0])
+    assert arc.estimate(0.2025, last) is last
+
+
+def test_the_error_of_a_rate_falls_with_the_readings_as_least_squares_says() -> None:
+    n, sigma, spacing = 60, 1e-3, 1e-3
+    random = np.random.default_rng(2)
+
+    def rate() -> float:
+        arc = ArcReadings(n * spacing, 1)
+        for k, error in enumerate(random.normal(0.0, sigma, n)):
+            arc.add((k - n + 1) * spacing, np.array([error, 0.0]))
+        return float(arc.estimate(0.0, np.zeros(2))[1])
+
+    # Slope of a parabola at its end, exactly: (X'X)^-1 of 1, t, t^2 at t = 1 - n, ..., 0.
+    times = np.arange(1 - n, 1) * spacing
+    powers = np.vander(times, 3, increasing=True)
+    exact = sigma * math.sqrt(float(np.linalg.inv(powers.T @ powers)[1, 1]))
+    assert exact == pytest.approx(math.sqrt(192 / n**3) * sigma / spacing, rel=0.1)
+    found = np.std([rate() for _ in range(1000)])
+    assert found == pytest.approx(exact, rel=4 / math.sqrt(2 * 1000))
+
+
 # --------------------------------------------------------------------------------- numbers
 
 
@@ -286,6 +321,8 @@ def test_noise_comes_from_its_seed() -> None:
         (lambda: Controller(period=0.0), "period"),
         (lambda: Controller(period=1e-3, delay=-1e-3), "delay"),
         (lambda: Sensors(resolution=-1.0), "resolution"),
+        (lambda: Sensors(window=-0.01), "window"),
+        (lambda: Sensors(window=math.inf), "window"),
         (lambda: Rig(sensors=Sensors()), "controller"),
     ],
 )

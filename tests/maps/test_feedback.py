@@ -145,6 +145,57 @@ def test_placed_multipliers_are_the_rates_of_decay() -> None:
     assert slow.measured == ("speed", "a")
 
 
+def _noisy(found: zo.Feedback, errors: Any) -> tuple[Any, Any]:
+    """Return points and inputs of the loop whose readings have errors, from return to return."""
+    known, point, used = found.returns, found.returns.fixed_point, found.centre
+    points, inputs = list[Any](), list[Any]()
+    for error in errors:
+        told = (
+            found.inputs_at(point + error, used) if found.delay else found.inputs_at(point + error)
+        )
+        used, waiting = (used, told) if found.delay else (told, told)
+        points.append(point)
+        inputs.append(used)
+        point, used = known.map(point, parameters={"a": used[0]}), waiting
+    return np.array(points), np.array(inputs)
+
+
+@pytest.mark.parametrize("delay", [False, True])
+def test_errors_of_readings_act_as_in_a_loop_that_has_them(delay: bool) -> None:
+    found = zo.design_feedback(zo.find_event_orbit("hopper"), ["a"], weight=2.0, delay=delay)
+    size = 1e-4
+    points, inputs = _noisy(found, np.full((20, 1), size))
+    shift = found.offset({"speed": size})
+    # The second order is a part 1e-4 of the first one.
+    assert points[-1] - found.returns.fixed_point == pytest.approx([shift["speed"]], rel=1e-3)
+    assert inputs[-1] - found.centre == pytest.approx([shift["a"]], rel=1e-3)
+    points, inputs = _noisy(found, np.random.default_rng(7).normal(0.0, size, (150, 1)))
+    spread = found.scatter({"speed": size})
+    # Four standard errors of a standard deviation from 150 nearly independent draws.
+    assert np.std(points) == pytest.approx(spread["speed"], rel=0.23)
+    assert np.std(inputs) == pytest.approx(spread["a"], rel=0.23)
+
+
+def test_errors_of_readings_have_closed_forms_of_one_coordinate() -> None:
+    found = zo.design_feedback(zo.find_event_orbit("hopper"), ["a"], weight=2.0)
+    known = found.returns
+    a, b = known.jacobian[0, 0], known.parameter_jacobian[0, known.parameter_names.index("a")]
+    k, rest, size = found.gain[0, 0], a - b * found.gain[0, 0], 0.01
+    shift, spread = found.offset({"speed": -size}), found.scatter({"speed": size})
+    assert shift["speed"] == pytest.approx(b * k * size / (1 - rest), rel=1e-12)
+    assert shift["a"] == pytest.approx(-k * (shift["speed"] - size), rel=1e-12)
+    assert spread["speed"] == pytest.approx(abs(b * k) * size / np.sqrt(1 - rest**2), rel=1e-12)
+    assert spread["a"] == pytest.approx(k * np.hypot(spread["speed"], size), rel=1e-12)
+    assert found.offset({}) == {"speed": 0.0, "a": 0.0}
+    for errors, told in (
+        ({"sped": 1.0}, "Did you mean `speed`"),
+        ({"speed": float("nan")}, "must be a finite"),
+        ({"speed": -1.0}, "must not be negative"),
+    ):
+        with pytest.raises(InputError, match=told):
+            found.scatter(errors)
+
+
 def test_inputs_stay_in_their_ranges() -> None:
     found = zo.design_feedback(event_orbit("hopper"), {"a": (19.5, 20.5)}, weight=1e3)
     assert found.inputs_at([0.0]) == pytest.approx([20.5])
@@ -195,6 +246,10 @@ def test_plain_data_and_command_agree(repelling: zo.Orbit, here: Path) -> None:
     found = zo.design_feedback("orbit.json", {"Kd": (-1.9, -1.3)})
     data = ask(*words, "--json", "-o", "feedback.json").data
     assert data == found.as_json() == json.loads((here / "feedback.json").read_text())
+    told = ask(*words, "--error", "dtheta1=0.1", "--json").data
+    assert told["reading_errors"]["scatter"] == found.scatter({"dtheta1": 0.1})
+    assert told["reading_errors"]["offset"] == found.offset({"dtheta1": 0.1})
+    assert "scatter, if random" in ask(*words, "--error", "dtheta1=0.1").out
     assert "at an end of its range" in ask("feedback", "orbit.json", "--input", "Kd").out
 
 
@@ -206,6 +261,7 @@ def test_plain_data_and_command_agree(repelling: zo.Orbit, here: Path) -> None:
         (("--input", "kd"), "unknown gain or parameter `kd`"),
         (("--input", "Kd", "--method", "place", "--multipliers", "x"), "must be numbers such as"),
         (("--input", "Kd", "--weight", "-1"), "must be at least 0"),
+        (("--input", "Kd", "--error", "dtheta=0.1"), "--error dtheta=0.1: unknown name `dtheta`"),
     ],
 )
 @pytest.mark.usefixtures("here")

@@ -131,6 +131,27 @@ def test_the_rig_holds_the_orbit_and_without_feedback_leaves_it(repelling: zo.Or
         zo.simulate_rig("motor_pendulum", rig, gains=GAINS, start=START, until=42.0)
 
 
+@pytest.mark.slow
+def test_a_parabola_through_readings_holds_the_orbit_that_a_filter_loses(
+    repelling: zo.Orbit,
+) -> None:
+    machine = zo.design_feedback(repelling, RANGE).machine()
+
+    def run(window: float) -> zo.RigRun:
+        sensors = zo.Sensors(filter_time=2e-3, window=window)
+        stiff, sampled = zo.Contact(stiffness=1e6), zo.Controller(period=1e-3)
+        rig = zo.Rig(contact=stiff, controller=sampled, sensors=sensors)
+        return zo.simulate_rig(machine, rig, until=17.0)
+
+    place = machine.state_names.index("held_Kd")
+    held = [one.end_state[place] for one in run(0.03).touches if 0.1 < one.end - one.start < 1.0]
+    assert len(held) == 8
+    # The parabola misses the rate by 0.008 rad/s, which the loop multiplies by four.
+    assert held[2:] == pytest.approx([KD] * 6, abs=0.02)
+    with pytest.raises(zo.SimulationError, match="ran away"):
+        run(0.0)
+
+
 @pytest.mark.parametrize(
     ("changed", "told"),
     [

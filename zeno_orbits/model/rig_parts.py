@@ -184,6 +184,8 @@ class Sensors(Part):
         noise: Standard deviation of a coordinate before it is rounded [rad].
         filter_time: Time constant of the low pass after the difference of two readings [s].
         current_noise: Standard deviation of a current in a record [A].
+        window: Time of readings through which a parabola is fitted for states that are set at an
+            event, or 0 for the last reading [s].
     """
 
     QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
@@ -191,12 +193,14 @@ class Sensors(Part):
         _nonnegative("noise", 0.0, "rad", "standard deviation of a coordinate"),
         _nonnegative("filter_time", 0.0, "s", "low pass after the difference of two readings"),
         _nonnegative("current_noise", 0.0, "A", "standard deviation of a current in a record"),
+        _nonnegative("window", 0.0, "s", "readings of which an event's state is the parabola"),
     )
 
     resolution: float = 0.0
     noise: float = 0.0
     filter_time: float = 0.0
     current_noise: float = 0.0
+    window: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

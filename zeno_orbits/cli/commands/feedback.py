@@ -17,7 +17,7 @@ from zeno_orbits.cli.options import (
     say_written,
 )
 from zeno_orbits.cli.outputs import JSON, PICTURE, PYTHON, require_outputs
-from zeno_orbits.cli.parsing import read_input, read_multipliers, read_number
+from zeno_orbits.cli.parsing import read_input, read_multipliers, read_named_number, read_number
 from zeno_orbits.report import terminal as report
 
 
@@ -32,6 +32,7 @@ def add_feedback(commands: Any) -> None:
             "zeno-orbits feedback orbit.json --input Kd=-1.9:-1.3",
             "zeno-orbits feedback orbit.json --input Kp --input Kd --method deadbeat",
             "zeno-orbits feedback orbit.json --input Kd --extent -o feedback.json",
+            "zeno-orbits feedback orbit.json --input Kd --error dtheta1=0.02",
             "zeno-orbits feedback orbit.json --input Kd --machine held.py",
         ],
     )
@@ -80,6 +81,17 @@ def add_feedback(commands: Any) -> None:
         help="also find the disturbances of each coordinate from which the motion returns",
     )
     parser.add_argument(
+        "--error",
+        "--errors",
+        dest="errors",
+        type=read_named_number,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="also compute how an error of this size in a coordinate's reading acts on the orbit: "
+        "if it is constant, and if it is random with this standard deviation (repeatable)",
+    )
+    parser.add_argument(
         "--machine",
         type=Path,
         metavar="FILE.py",
@@ -108,19 +120,42 @@ def _run_feedback(options: argparse.Namespace) -> int:
             for name in found.returns.coordinates
             if options.extent
         }
+    errors = dict(options.errors)
+    acts = (found.offset(errors), found.scatter(errors)) if errors else None
     if options.machine is not None:
         found.machine(options.machine)
-    hand_out(options, _Data(found, extents), lambda _: report.print_feedback(found, extents))
+
+    def show(_: object) -> None:
+        report.print_feedback(found, extents)
+        if acts is not None:
+            report.print_reading_errors(found, errors, *acts)
+
+    hand_out(options, _Data(found, extents, errors, acts), show)
     say_written(options, [] if options.machine is None else [options.machine])
     return YES if found.stable else NO
 
 
 class _Data:
-    """The data of a feedback, with the disturbances from which the motion returns."""
+    """The data of a feedback, with its disturbances that return and its errors of readings."""
 
-    def __init__(self, found: Any, extents: dict[str, tuple[float, float]]) -> None:
-        self._found, self._extents = found, extents
+    def __init__(
+        self,
+        found: Any,
+        extents: dict[str, tuple[float, float]],
+        errors: dict[str, float],
+        acts: tuple[dict[str, float], dict[str, float]] | None,
+    ) -> None:
+        self._found, self._extents, self._errors, self._acts = found, extents, errors, acts
 
     def as_json(self) -> dict[str, Any]:
-        more = {"extent": {name: [*ends] for name, ends in self._extents.items()}}
-        return {**self._found.as_json(), **(more if self._extents else {})}
+        more: dict[str, Any] = {}
+        if self._extents:
+            more["extent"] = {name: [*ends] for name, ends in self._extents.items()}
+        if self._acts is not None:
+            offset, scatter = self._acts
+            more["reading_errors"] = {
+                "errors": self._errors,
+                "offset": offset,
+                "scatter": scatter,
+            }
+        return {**self._found.as_json(), **more}

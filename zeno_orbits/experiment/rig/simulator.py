@@ -365,6 +365,8 @@ class _Follower:
             rested = stop in self._rested
             self._rested.discard(stop)
             self._set_anew("release" if rested else "impact", stop)
+        if self._loop is not None:
+            self._loop.jumped()
 
     def _set_anew(self, kind: str, stop: int) -> None:
         """Set states at an event of a stop, from what the controller last measured.
@@ -387,9 +389,9 @@ class _Follower:
         self._mode = replace(self._mode, above=above, sides=sides)
 
     def _measured_after(self, switch: int) -> Vector:
-        """Return the state after a reset of the state that the controller last measured."""
+        """Return the state after a reset of the state that the controller has measured."""
         x = self._y[: self._machine.n_x]
-        measured = self._loop.log[-1][1] if self._loop is not None and self._loop.log else x
+        measured = x if self._loop is None else self._loop.estimate(self._time, x)
         # A controller knows the values that it holds.
         return self._graph.after_switch(switch, np.where(self._is_held, x, measured))
 
@@ -452,6 +454,9 @@ class _Follower:
         after = self._y.copy()
         true = graph.after_switch(switch, self._y[:n_x])
         after[:n_x] = np.where(self._is_held, self._measured_after(switch), true)
+        n_moving = 2 * self._machine.n_q
+        if self._loop is not None and np.any(after[:n_moving] != self._y[:n_moving]):
+            self._loop.jumped()
         self._y = after
         above, sides = self._signs_at(self._mode.sides)
         self._mode = replace(self._mode, above=above, sides=sides)

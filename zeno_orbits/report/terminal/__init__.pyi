@@ -41,5 +41,6 @@ from .studies import print_recovery as print_recovery
 from .studies import print_scatter as print_scatter
 from .studies import print_reduction_costs as print_reduction_costs
 from .studies import print_feedback as print_feedback
+from .studies import print_reading_errors as print_reading_errors
 from .studies import print_stability as print_stability
 from .studies import print_trade as print_trade

@@ -312,6 +312,33 @@ def print_feedback(found: Feedback, extents: Mapping[str, tuple[float, float]]) 
         print_table(columns, list(extents))
 
 
+def print_reading_errors(
+    found: Feedback,
+    errors: Mapping[str, float],
+    offset: Mapping[str, float],
+    scatter: Mapping[str, float],
+) -> None:
+    """Print how errors of the readings act on an orbit and its inputs.
+
+    Args:
+        found: The feedback.
+        errors: Coordinate to the error of its reading.
+        offset: Quantity to its shift, if the errors are constant.
+        scatter: Quantity to its standard deviation, if they are random.
+    """
+    known = found.returns
+    units = {**known.units, **known.problem.units}
+    given = ", ".join(f"{name} {value:g} {known.units[name]}" for name, value in errors.items())
+    print_lines([f"Errors of readings: {given}"])
+    columns: list[Column[str]] = [
+        name_column("quantity", lambda name: name),
+        number_column("shifted, if constant", lambda name: f"{offset[name]:.4g}"),
+        number_column("scatter, if random", lambda name: f"{scatter[name]:.4g}"),
+        text_column("unit", lambda name: units[name]),
+    ]
+    print_table(columns, list(offset))
+
+
 def _range_text(low: float, high: float) -> str:
     smallest = sys.float_info.min
     if high == math.inf:
