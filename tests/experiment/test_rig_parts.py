@@ -281,6 +281,8 @@ def test_an_event_of_a_parabola_is_read_exactly_between_two_readings() -> None:
         arc.add(0.2 + k * 1e-3, np.array([1.0, 0.0, 0.0]))
     last = np.array([0.5, -1.0, 0.0])
     assert arc.estimate(0.2025, last) is last
+    assert not arc.fits(0.2025)
+    assert ArcReadings(0.0, 1).fits(0.0)
 
 
 def test_the_error_of_a_rate_falls_with_the_readings_as_least_squares_says() -> None:
@@ -324,6 +326,10 @@ def test_the_error_of_a_rate_falls_with_the_readings_as_least_squares_says() -> 
         (lambda: Sensors(window=-0.01), "window"),
         (lambda: Sensors(window=math.inf), "window"),
         (lambda: Rig(sensors=Sensors()), "controller"),
+        (
+            lambda: Rig(controller=Controller(period=1e-3), sensors=Sensors(window=0.003)),
+            "sensors.window",
+        ),
     ],
 )
 def test_a_number_out_of_its_range_is_refused_by_name(make: object, name: str) -> None:

@@ -226,11 +226,18 @@ class Rig:
     sensors: Sensors | None = None
 
     def __post_init__(self) -> None:
-        """Refuse sensors that nothing reads."""
+        """Refuse sensors that nothing reads, and windows of too few readings."""
         require_kinds(self)
         if self.sensors is not None and self.controller is None:
             wanted = "must be given for `sensors`, which it reads"
             raise InputError(f"Argument `controller` {wanted}, but it is missing.")
+        if self.sensors is None or self.controller is None or not self.sensors.window:
+            return
+        least = _LEAST_READINGS * self.controller.period
+        if self.sensors.window < least:
+            wanted = f"must be 0, or at least {_LEAST_READINGS} readings of `controller.period`"
+            told = f"{wanted}, {least:g} s, but it is {self.sensors.window:g}"
+            raise InputError(f"Argument `sensors.window` {told}.")
 
     def __hash__(self) -> int:
         """Hash by value, so that cached functions of a rig can be found again."""
@@ -239,6 +246,8 @@ class Rig:
         return hash((*parts, named))
 
 
+_LEAST_READINGS = 4
+"""Readings that a parabola needs, with one to spare."""
 PART_NAMES = ("friction", "gears", "bridge", "controller", "sensors")
 """Parts of a rig in addition to its contact."""
 _ONE = {"contact": Contact, "bridge": HBridge, "controller": Controller, "sensors": Sensors}

@@ -88,6 +88,14 @@ class ControlLoop:
         """
         return self._arc.estimate(time, self.log[-1][1]) if self.log else x
 
+    def fits(self, time: float) -> bool:
+        """Return True if the window holds enough readings of the present arc, or is not used.
+
+        Args:
+            time: Time of the event [s].
+        """
+        return self._arc.fits(time)
+
     def _read(self, time: float, y: Vector) -> None:
         measured = self._reader.read(y[: self._n_x])
         self._arc.add(time, measured)
@@ -214,6 +222,15 @@ class ArcReadings:
         """Drop all readings."""
         self._readings.clear()
 
+    def fits(self, time: float) -> bool:
+        """Return True if more readings are kept than a parabola has coefficients, or none is used.
+
+        Args:
+            time: End of the window [s].
+        """
+        self._drop_before(time - self._window)
+        return not self._window or len(self._readings) > _PARABOLA
+
     def estimate(self, time: float, measured: Vector) -> Vector:
         """Return the state at a time. With too few readings it is the last measured one.
 
@@ -221,8 +238,7 @@ class ArcReadings:
             time: Time of the estimate [s].
             measured: The last measured state, ``(n_x,)``.
         """
-        self._drop_before(time - self._window)
-        if len(self._readings) <= _PARABOLA:
+        if not self._window or not self.fits(time):
             return measured
         n_q, window = self._n_q, self._window
         ago = np.array([one - time for one, _ in self._readings]) / window

@@ -372,7 +372,8 @@ class _Follower:
         """Set states at an event of a stop, from what the controller last measured.
 
         A contact that lasts for several bounces is permanent, and its end is a release. The end of
-        a shorter one is the end of an impact.
+        a shorter one is the end of an impact. With a window of readings, a release sets states if
+        the window fits.
 
         Args:
             kind: Kind of the event.
@@ -381,6 +382,9 @@ class _Follower:
         graph, n_x = self._graph, self._machine.n_x
         switch = graph.setter_at(f"{kind} {self._machine.stop_names[stop]}")
         if switch is None:
+            return
+        # A contact of so few readings is chatter after a release, or the start of the run.
+        if kind == "release" and self._loop is not None and not self._loop.fits(self._time):
             return
         after = self._y.copy()
         after[:n_x] = np.where(self._is_held, self._measured_after(switch), after[:n_x])
