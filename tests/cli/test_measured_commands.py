@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.support.commands import MISUSE, NO, YES, ask, examples
-from zeno_orbits.experiment import Source, read_recording
+from zeno_orbits.experiment import Source, read_recording, write_recording
 from zeno_orbits.orbits import Orbit, read_orbit, write_orbit
 
 
@@ -37,6 +38,10 @@ def folder(tmp_path: Path, orbit: Orbit, recorded: bytes, monkeypatch: pytest.Mo
             *("--start", f"height={height}", "-o", name),
         )
         assert answer.code == YES, answer.err
+    drop = read_recording("drop.csv")
+    height = drop.signal("height")
+    by_camera = replace(height, values=1.3 * height.values + 0.2)
+    write_recording(replace(drop, signals=(by_camera,)), "track.csv")
     return tmp_path
 
 

@@ -321,8 +321,10 @@ def test_wrong_declarations_are_refused() -> None:
         built(v[0], -1.0)
     with pytest.raises(ValueError, match=r"`static` must be at least the torque 1, but it is 0\.5"):
         built(v[0], 1.0, 0.5)
-    with pytest.raises(zo.InputError, match="friction `pad` must be at least"):
+    with pytest.raises(zo.InputError, match="friction `pad` must be at least its"):
         zo.simulate(slider(torque=1.0, static=0.9), until=1.0)
+    with pytest.raises(zo.InputError, match=r"friction `pad` must be at least 0.*it is -1"):
+        zo.simulate(slider(torque=-1.0, static=0.9), until=1.0)
     with pytest.raises(zo.InputError, match="`side_pad` = 1 or -1"):
         zo.simulate(slider(), start={"x": 1.0, "side_pad": 0.3}, until=1.0)
 

@@ -418,9 +418,13 @@ def places() -> list[tuple[Door, str]]:
     return [(door, key) for door in doors() for key in inspect.signature(door.call).parameters]
 
 
+CALLED = ("on_progress", "on_estimate", "task", "formula", "model", "derive", "drawing")
+"""Arguments that are functions of the caller."""
+
+
 def ask(door: Door, key: str, bad: Any) -> str:
     """Call a door with nonsense at one parameter, and return what is wrong with its answer."""
-    if callable(bad) and key in ("on_progress", "task", "formula", "model", "derive", "drawing"):
+    if callable(bad) and key in CALLED:
         # A function of the caller raises what it likes.
         return ""
     given = {name: make() for name, make in door.sound.items()}

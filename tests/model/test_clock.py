@@ -166,4 +166,4 @@ def test_all_pictures_that_a_forced_problem_has_are_drawn(
     ]
     capsys.readouterr()
     assert main(["plot", str(file), "--kind", "region", "-o", str(tmp_path)]) == 2
-    assert "nor a clock" in capsys.readouterr().err
+    assert "has a clock or a holonomic constraint" in capsys.readouterr().err

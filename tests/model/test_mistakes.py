@@ -278,7 +278,7 @@ def test_a_motion_that_slides_is_refused_with_a_formula_that_does_not(tmp_path: 
         file.write_text(text.replace("= -v", f"= -3 * {friction}"), encoding="utf-8")
         answer = ask("simulate", file, "--until", "20")
         assert answer.code == code
-        told = "declare the part `zo.DryFriction(name, rate=v, torque=T)` in place of the force"
+        told = 'the part `zo.DryFriction("NAME", rate=v, torque=3)` in place of the force `-3 * '
         assert (told in answer.err) == bool(code)
 
 

@@ -10,6 +10,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import ask
+from tests.support.mechanisms import machine_of
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import bundled_problems, energy_sources, load_problem
 
@@ -120,6 +121,20 @@ def test_a_supply_is_told_with_its_power_and_the_value_decides_about_it() -> Non
 )
 def test_the_back_emf_has_the_sign_of_the_torque(motor: dict[str, float], part: list[str]) -> None:
     assert _parts(_machine(lambda _q, v, c: -c * v, **motor)) == part
+
+
+def _rubbed(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    mass = zo.HybridLagrangian.from_energies(q=q, v=v, kinetic=v**2 / 2, potential=q**2 / 2)
+    pad = zo.DryFriction("pad", rate=v, torque=0.1 + p["slope"] * q)
+    return zo.hybrid_system(mass, (zo.no_drive(mass), pad))
+
+
+def test_dry_friction_that_pushes_somewhere_is_told() -> None:
+    units = {"q": "m", "v": "m/s", "side_pad": "1"}
+    machine = machine_of(_rubbed, units, {"slope": 0.0})
+    assert _parts(machine) == []
+    assert _parts(machine, slope=1.0) == ["pad"]
 
 
 @pytest.mark.slow

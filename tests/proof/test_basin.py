@@ -265,7 +265,7 @@ def _falsify(sets: list[Any], chance: random.Random, number: int) -> None:
         records.insert(k, copy.deepcopy(records[k]))
     else:
         tail = next(one for one in records if one["kind"] == "tail")
-        tail["speed"] = _scaled(tail["speed"], Fraction(1, 2**20))
+        tail["speed"] = _scaled(tail["speed"], Fraction(1, 2**30))
 
 
 def _moved(record: Mapping[str, Any]) -> list[int]:

@@ -54,7 +54,7 @@ def instead_of_kink(graph: ModeGraph, kink: int) -> str:
     if found is None:
         return _NO_FRICTION
     rate, torque = _quoted(found[0], "rate"), _quoted(found[1], "T")
-    size = torque if torque.isidentifier() else f"({torque})"
+    size = torque if torque.replace(".", "").isalnum() else f"({torque})"
     return (
         f'For dry friction, declare the part `zo.DryFriction("NAME", rate={rate}, torque={torque})`'
         f" in place of the force `-{size} * ca.sign({rate})`."

@@ -2,9 +2,9 @@ r"""Parts of a machine that supply energy although their kind takes it: signs th
 
 Damping takes :math:`-v^\top (F(q, v) - F(q, 0)) \ge 0`, resistances take :math:`i^\top R\,i \ge 0`,
 and a motor takes as much electrical power :math:`i^\top K_\omega w` as it returns in torque,
-:math:`w^\top K_\varphi\,i`, if :math:`K_\omega = K_\varphi^\top` (theory (1.10)). Constants are
-compared by form. Other formulas are evaluated at states: a supply that is found is a fact, and one
-that is not found proves nothing.
+:math:`w^\top K_\varphi\,i`, if :math:`K_\omega = K_\varphi^\top` (theory (1.10)). Dry friction
+takes :math:`T\,|r|`, where :math:`T \ge 0`. Constants are compared by form. Other formulas are
+evaluated at states: a supply that is found is a fact, and one that is not found proves nothing.
 """
 
 from __future__ import annotations
@@ -67,6 +67,11 @@ def energy_sources(problem: Problem, values: ParameterValues) -> tuple[EnergySou
         found += _by_motors(entries)
         for name, unit in (("resistance", "ohm"), ("conductance", "1/ohm")):
             found += _by_resistance(name, unit, entries)
+    torques = map(known, ca.vertsplit(drive.torques))
+    for name, torque in zip(drive.frictions, torques, strict=True):
+        found += _by_friction(
+            name, ca.Function("torque", [system.state], [torque]), states, problem
+        )
     return tuple(found)
 
 
@@ -136,6 +141,19 @@ def _by_motors(entries: Mapping[str, ca.SX]) -> list[EnergySource]:
         )
         found.append(EnergySource(part="emf_constant", reason=reason))
     return found
+
+
+def _by_friction(
+    name: str, torque: ca.Function, states: Vector, problem: Problem
+) -> list[EnergySource]:
+    """Return a part with dry friction if its friction is negative at a state."""
+    values = np.array([_row(torque, x)[0] for x in states])
+    k = int(np.argmin(values))
+    if not values[k] < 0.0:
+        return []
+    at = _named(problem.state_names, states[k])
+    reason = f"its friction is {values[k]:.3g} at {at}. Friction opposes the rate: check its sign"
+    return [EnergySource(part=name, reason=reason)]
 
 
 def _by_resistance(name: str, unit: str, entries: Mapping[str, ca.SX]) -> list[EnergySource]:

@@ -221,14 +221,15 @@ class CompiledGraph:
         return tuple(k for k, one in enumerate(state) if ca.depends_on(sides, one))
 
     @cached_property
-    def reserves(self) -> ca.Function:
-        """``p -> static force less that of slipping``, of parts where no state changes it."""
+    def frictions(self) -> ca.Function:
+        """``p -> (friction that slips, static one less that)``, 0 where a state changes them."""
         graph, drive = self.graph, self.graph.drive
-        found = [
-            ca.SX(0) if ca.depends_on(one, graph.state) else one
-            for one in ca.vertsplit(drive.static - drive.torques)
+        both = [
+            [ca.SX(0) if ca.depends_on(one, graph.state) else one for one in ca.vertsplit(formulas)]
+            for formulas in (drive.torques, drive.static - drive.torques)
         ]
-        return dense_function("reserves", [self.parameters], [ca.vertcat(ca.SX(0, 1), *found)])
+        found = [ca.vertcat(ca.SX(0, 1), *formulas) for formulas in both]
+        return dense_function("frictions", [self.parameters], found)
 
     @cached_property
     def switches_along(self) -> Columns:
@@ -343,7 +344,7 @@ class GraphDynamics:
             for k, order in enumerate(compiled.graph.time_orders):
                 order.require(float(lower[k]), float(upper[k]), float(least[k]))
         if compiled.graph.n_frictions:
-            self._require_statics()
+            self._require_frictions()
         self.state_names = compiled.state_names
         graph = compiled.graph
         self.stop_names = tuple(stop.name for stop in graph.stops)
@@ -359,14 +360,21 @@ class GraphDynamics:
         self._resets = [Call(one, self.p) for one in compiled.resets]
         self.open_mode: GraphMode = ((), (True,) * len(graph.conditions))
 
-    def _require_statics(self) -> None:
-        """Refuse a static friction below that of slipping: the part could do neither.
+    def _require_frictions(self) -> None:
+        """Refuse a friction that pushes, and a static one below that of slipping.
 
         Raises:
             InputError: If there is one. The message names the part.
         """
-        left = self.compiled.reserves(self.p).full().ravel()
-        for name, reserve in zip(self.compiled.graph.drive.frictions, left, strict=True):
+        torques, left = (one.full().ravel() for one in self.compiled.frictions(self.p))
+        for name, torque, reserve in zip(
+            self.compiled.graph.drive.frictions, torques, left, strict=True
+        ):
+            if torque < 0.0:
+                raise InputError(
+                    f"Argument `torque` of the friction `{name}` must be at least 0, but at these "
+                    f"values it is {torque:g}: the part would push. Check its sign."
+                )
             if reserve < 0.0:
                 wanted = "must be at least its friction while it slips"
                 raise InputError(
