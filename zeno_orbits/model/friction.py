@@ -351,7 +351,13 @@ def _of_part(rows: _Rows, v: ca.SX, k: int, state: ca.SX, sizes: ca.SX) -> Frict
 def require_free_rates(mechanism: HybridLagrangian, drive: Drive, stops: Sequence[Stop]) -> None:
     """Refuse a friction whose rate is zero while stops are closed or other parts stick.
 
-    Its force and the force of the stop are then not determined.
+    Its force and the force of the stop are then not determined. Ranks are those at one random
+    state, so rows that depend on each other at some states alone are not found.
+
+    Args:
+        mechanism: The mechanism.
+        drive: Its drive.
+        stops: Its stops.
 
     Raises:
         ValueError: If there is one. The message names it.

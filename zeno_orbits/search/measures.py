@@ -1,4 +1,4 @@
-"""What objectives are made of: numbers at an orbit with their derivatives, and terms of a program.
+"""Parts of objectives: numbers at an orbit with their derivatives, and terms of a program.
 
 The protocols state what an objective may ask. The search provides it.
 """

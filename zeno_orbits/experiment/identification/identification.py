@@ -377,7 +377,13 @@ def _fitted_edges(whole: Prepared, answer: Fit, labels: Sequence[str]) -> Vector
 
 
 def ends_clause(labels: Sequence[str], unknowns: Unknowns, x: Vector) -> str:
-    """Return the clause that names values at an end of their ranges, or no text."""
+    """Return the clause that names values at an end of their ranges, or no text.
+
+    Args:
+        labels: Names of the unknowns as the caller knows them.
+        unknowns: The unknowns with their ranges.
+        x: Their values in the fit, ``(n,)``.
+    """
     rows = zip(labels, unknowns.numbers(x), unknowns.lower, unknowns.upper, strict=True)
     ends = [
         f"`{label}` is at the end {value:.6g} of its range"
