@@ -261,4 +261,4 @@ def test_two_switches_at_the_same_time_are_refused_by_prover_and_checker() -> No
     false["digest"] = joined_digest([formulas_of_view(graph, symbols, View(0, ())).digest])
     verdict = check_proof(false, twin)
     assert not verdict.ok
-    assert "switch 1 may be met" in verdict.claims[0].evidence
+    assert "switch 1 may be zero" in verdict.claims[0].evidence
