@@ -148,7 +148,7 @@ def _by_friction(
 ) -> list[EnergySource]:
     """Return a part with dry friction if its friction is negative at a state."""
     values = np.array([_row(torque, x)[0] for x in states])
-    k = int(np.argmin(values))
+    k = int(np.argmin(np.where(np.isfinite(values), values, 0.0)))
     if not values[k] < 0.0:
         return []
     at = _named(problem.state_names, states[k])
