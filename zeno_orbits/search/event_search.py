@@ -20,10 +20,10 @@ from zeno_orbits.search.outcome import Accept, SearchResult, StartAttempt
 from zeno_orbits.search.search_problem import clipped
 from zeno_orbits.search.settings import SearchMethod
 from zeno_orbits.search.starts.candidates import StartEnd, end_of_start, ranked_candidates
-from zeno_orbits.search.starts.multistart import StartWorkers, results_in_order
+from zeno_orbits.search.starts.multistart import StartWorkers, identity_of, results_in_order
 from zeno_orbits.search.validation import check_bounds, check_objective
-from zeno_orbits.simulation import SimulationSettings, simulator_in_use
-from zeno_orbits.work import FailedPoint, Progress, silent, to_plain, versions
+from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.work import FailedPoint, Progress, silent, to_plain
 
 _LOCAL = (
     "One start led there, so the optimum may be local: 3 candidates (`candidates`, --candidates) "
@@ -219,20 +219,12 @@ class _Task:
         """Return all inputs on which the end of a start depends."""
         question = dict(self.question)
         origin = question.pop("origin")
-        return {
-            "work": "search of events",
-            "problem": self.problem_file.load().name,
-            "problem_digest": self.problem_file.digest,
-            "gains": to_plain(origin.gains),
-            "parameters": to_plain(origin.parameters),
+        others = {
             "start": to_plain(self.start),
-            "from": to_plain(question.pop("near")),
-            **{name: to_plain(value, name) for name, value in question.items()},
             # They follow from the ranges, the number of starts and the seed.
             "places": [to_plain(place.numbers) for place in self.places],
-            "simulator": simulator_in_use(),
-            "versions": versions(),
         }
+        return identity_of("search of events", self.problem_file, origin, question, others)
 
 
 def _places(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import Problem, ProblemFile
+from zeno_orbits.model import ParameterValues, Problem, ProblemFile
 from zeno_orbits.search.outcome import Accept, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
@@ -149,18 +149,39 @@ class _Task:
 def _identity(task: _Task) -> dict[str, Any]:
     """Return all inputs on which the outcome of a start depends."""
     question = dict(task.question)
-    values = question.pop("values")
     # The order follows from the other entries.
     del question["order"]
+    values = question.pop("values")
+    accept = {"accept": to_plain(task.accept, "accept")}
+    return identity_of("search", task.problem_file, values, question, accept)
+
+
+def identity_of(
+    work: str,
+    file: ProblemFile,
+    values: ParameterValues,
+    question: Mapping[str, Any],
+    others: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Return all inputs on which the result of a start depends, as plain data.
+
+    Args:
+        work: Name of the work.
+        file: File of the problem.
+        values: Gains and parameters of the search.
+        question: The search without its problem and these values.
+        others: Further inputs, as plain data.
+    """
+    further = dict(question)
     return {
-        "work": "search",
-        "problem": task.problem_file.load().name,
-        "problem_digest": task.problem_file.digest,
+        "work": work,
+        "problem": file.load().name,
+        "problem_digest": file.digest,
         "gains": to_plain(values.gains),
         "parameters": to_plain(values.parameters),
-        "from": to_plain(question.pop("near")),
-        **{name: to_plain(value, name) for name, value in question.items()},
-        "accept": to_plain(task.accept, "accept"),
+        "from": to_plain(further.pop("near")),
+        **{name: to_plain(value, name) for name, value in further.items()},
+        **others,
         "simulator": simulator_in_use(),
         "versions": versions(),
     }
