@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import casadi as ca
@@ -84,120 +84,88 @@ PUSH = 1.2
 """Push over the weight."""
 
 
+def _block(
+    name: str,
+    title: str,
+    *,
+    changed: zo.Quantity,
+    start: Mapping[str, float],
+    push: Callable[[zo.Clock, Any], ca.SX] | None = None,
+    switch: Callable[[ca.SX, ca.SX, zo.Clock, Any], zo.Switch] | None = None,
+) -> Problem:
+    """Return a block above a table, with a clock, a push, and a switch of height and speed."""
+
+    def model(p: Mapping[str, Any]) -> CompletedSystem:
+        height, speed = ca.SX.sym("height"), ca.SX.sym("speed")
+        clock = zo.Clock.at(p["omega"])
+        block = zo.HybridLagrangian.from_energies(
+            q=height,
+            v=speed,
+            kinetic=speed**2 / 2,
+            potential=GRAVITY * height,
+            applied_force=push(clock, p) if push else ca.SX(0),
+            clock=clock,
+            stops=(zo.Stop(name="table", gap=height, restitution=p["restitution"]),),
+        )
+        switches = (switch(height, speed, clock, p),) if switch else ()
+        return zo.hybrid_system(block, zo.no_drive(block), switches=switches)
+
+    return Problem(
+        name=name,
+        title=title,
+        source="closed form",
+        state_names=("height", "speed", "cosine", "sine"),
+        state_units=("m", "m/s", "1", "1"),
+        parameters=(
+            zo.Quantity.positive("omega", 3.0, "rad/s", "clock"),
+            changed,
+            zo.Quantity.restitution(0.3),
+        ),
+        gains=(),
+        model=model,
+        starts=({"height": 0.01, **start},),
+        portraits=(("height", "speed"),),
+        amplitude_of="height",
+    )
+
+
 def pushed_block() -> Problem:
     """Return a block that a force of the clock pushes up from its table, and drops again.
 
     The push jumps on and off, so that the contact ends at the jump while the stop still presses.
     """
 
-    def model(p: Mapping[str, Any]) -> CompletedSystem:
-        height, speed = ca.SX.sym("height"), ca.SX.sym("speed")
-        clock = zo.Clock.at(p["omega"])
-        push: Any = ca.if_else(clock.cosine > p["level"], PUSH * GRAVITY, 0.0)
-        block = zo.HybridLagrangian.from_energies(
-            q=height,
-            v=speed,
-            kinetic=speed**2 / 2,
-            potential=GRAVITY * height,
-            applied_force=push,
-            clock=clock,
-            stops=(zo.Stop(name="table", gap=height, restitution=p["restitution"]),),
-        )
-        return zo.hybrid_system(block, zo.no_drive(block))
+    def push(clock: zo.Clock, p: Any) -> ca.SX:
+        return ca.SX(ca.if_else(clock.cosine > p["level"], PUSH * GRAVITY, 0.0))
 
-    return Problem(
-        name="pushed_block",
-        title="block that is pushed up and dropped",
-        source="closed form",
-        state_names=("height", "speed", "cosine", "sine"),
-        state_units=("m", "m/s", "1", "1"),
-        parameters=(
-            zo.Quantity.positive("omega", 3.0, "rad/s", "clock"),
-            zo.Quantity.positive("level", 0.9, "1", "cosine above which the block is pushed"),
-            zo.Quantity.restitution(0.3),
-        ),
-        gains=(),
-        model=model,
-        starts=({"height": 0.01, "cosine": 0.0, "sine": 1.0},),
-        portraits=(("height", "speed"),),
-        amplitude_of="height",
-    )
+    level = zo.Quantity.positive("level", 0.9, "1", "cosine above which the block is pushed")
+    start = {"cosine": 0.0, "sine": 1.0}
+    title = "block that is pushed up and dropped"
+    return _block("pushed_block", title, changed=level, start=start, push=push)
 
 
 def lifted_block() -> Problem:
     """Return a block that falls on its table, and that a switch of the clock lifts at once."""
 
-    def model(p: Mapping[str, Any]) -> CompletedSystem:
-        height, speed = ca.SX.sym("height"), ca.SX.sym("speed")
-        clock = zo.Clock.at(p["omega"])
-        block = zo.HybridLagrangian.from_energies(
-            q=height,
-            v=speed,
-            kinetic=speed**2 / 2,
-            potential=GRAVITY * height,
-            clock=clock,
-            stops=(zo.Stop(name="table", gap=height, restitution=p["restitution"]),),
-        )
-        lift = zo.Switch(
-            name="lift", guard=clock.cosine, armed=clock.sine, q_after=height + p["lift"]
-        )
-        return zo.hybrid_system(block, zo.no_drive(block), switches=(lift,))
+    def lift(height: ca.SX, _: ca.SX, clock: zo.Clock, p: Any) -> zo.Switch:
+        moved = height + p["lift"]
+        return zo.Switch(name="lift", guard=clock.cosine, armed=clock.sine, q_after=moved)
 
-    return Problem(
-        name="lifted_block",
-        title="block that is lifted and falls",
-        source="closed form",
-        state_names=("height", "speed", "cosine", "sine"),
-        state_units=("m", "m/s", "1", "1"),
-        parameters=(
-            zo.Quantity.positive("omega", 3.0, "rad/s", "clock"),
-            zo.Quantity(name="lift", unit="m", meaning="lift", default=0.5, lower=-1.0),
-            zo.Quantity.restitution(0.3),
-        ),
-        gains=(),
-        model=model,
-        starts=({"height": 0.01, "cosine": 1.0},),
-        portraits=(("height", "speed"),),
-        amplitude_of="height",
-    )
+    way = zo.Quantity(name="lift", unit="m", meaning="lift", default=0.5, lower=-1.0)
+    title = "block that is lifted and falls"
+    return _block("lifted_block", title, changed=way, start={"cosine": 1.0}, switch=lift)
 
 
 def thrown_block() -> Problem:
     """Return a block that rests on its table, and that a switch of the clock throws up."""
 
-    def model(p: Mapping[str, Any]) -> CompletedSystem:
-        height, speed = ca.SX.sym("height"), ca.SX.sym("speed")
-        clock = zo.Clock.at(p["omega"])
-        block = zo.HybridLagrangian.from_energies(
-            q=height,
-            v=speed,
-            kinetic=speed**2 / 2,
-            potential=GRAVITY * height,
-            clock=clock,
-            stops=(zo.Stop(name="table", gap=height, restitution=p["restitution"]),),
-        )
-        throw = zo.Switch(
-            name="throw", guard=clock.cosine, armed=clock.sine, v_after=speed + p["throw"]
-        )
-        return zo.hybrid_system(block, zo.no_drive(block), switches=(throw,))
+    def throw(_: ca.SX, speed: ca.SX, clock: zo.Clock, p: Any) -> zo.Switch:
+        faster = speed + p["throw"]
+        return zo.Switch(name="throw", guard=clock.cosine, armed=clock.sine, v_after=faster)
 
-    return Problem(
-        name="thrown_block",
-        title="block that is thrown up from its table",
-        source="closed form",
-        state_names=("height", "speed", "cosine", "sine"),
-        state_units=("m", "m/s", "1", "1"),
-        parameters=(
-            zo.Quantity.positive("omega", 3.0, "rad/s", "clock"),
-            zo.Quantity(name="throw", unit="m/s", meaning="speed", default=4.0, lower=-9.0),
-            zo.Quantity.restitution(0.3),
-        ),
-        gains=(),
-        model=model,
-        starts=({"height": 0.01, "cosine": 1.0},),
-        portraits=(("height", "speed"),),
-        amplitude_of="height",
-    )
+    gain = zo.Quantity(name="throw", unit="m/s", meaning="speed", default=4.0, lower=-9.0)
+    title = "block that is thrown up from its table"
+    return _block("thrown_block", title, changed=gain, start={"cosine": 1.0}, switch=throw)
 
 
 def two_blocks() -> Problem:
