@@ -37,7 +37,6 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
     """Return the completed system: ``q = (q1, q2, q3)``, angles from the vertical."""
     passive = PASSIVE.model({**p, **FLAT})
     legs, graph = passive.mechanism, passive.graph
-    assert graph is not None
     # The columns are the coordinates that the motors turn: their speeds are selection' v.
     selection = ca.SX([[-1, 0], [1, 1], [0, -1]])
     hip, knee = ca.vertsplit(ca.mtimes(selection.T, legs.q))

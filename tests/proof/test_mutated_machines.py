@@ -239,7 +239,6 @@ def _twin_of(problem: Problem) -> Problem:
     def model(p: Mapping[str, Any]) -> CompletedSystem:
         wheel = problem.model(p)
         graph = wheel.graph
-        assert graph is not None
         twin = zo.Switch(name="twin", guard=2 * ca.SX(graph.switches[0].guard), armed=1.0)
         legs = wheel.mechanism
         return zo.hybrid_system(legs, zo.no_drive(legs), switches=(*graph.switches, twin))
@@ -256,7 +255,6 @@ def test_two_switches_at_the_same_time_are_refused_by_prover_and_checker() -> No
     false = copy.deepcopy(dict(zo.prove(orbit, problem=problem).certificate))
     symbols = twin.symbols()
     graph = twin.model(symbols).graph
-    assert graph is not None
     false["problem"] = twin.name
     false["digest"] = joined_digest([formulas_of_view(graph, symbols, View(0, ())).digest])
     verdict = check_proof(false, twin)

@@ -72,7 +72,7 @@ def named_formulas(system: CompletedSystem) -> tuple[NamedFormula, ...]:
         found.append(
             NamedFormula(words="the restitution", keywords=("restitution",), formula=restitution)
         )
-    for switch in () if system.graph is None else system.graph.switches:
+    for switch in system.graph.switches:
         for word, formula in (("guard", switch.guard), ("armed", switch.armed)):
             words = f"`{word}` of the switch `{switch.name}`"
             one = NamedFormula(

@@ -136,7 +136,7 @@ def acceleration_formula(problem: Problem) -> Any:
     """
     symbols = problem.symbols()
     system = problem.model(symbols)
-    stops = 1 if system.graph is None else len(system.graph.stops)
+    stops = len(system.graph.stops)
     if stops == 0:
         raise InputError(
             f"Argument `problem`: `{problem.name}` lacks a stop, so no Zeno point exists. Declare "

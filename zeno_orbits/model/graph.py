@@ -67,7 +67,7 @@ def hybrid_system(
 
     Returns:
         The completed system. With ``stops``, ``switches`` or a kink it is the first stop's, and its
-        ``graph`` holds all modes.
+        ``modes`` are declared. Its ``graph`` holds all modes of any machine.
 
     Raises:
         ValueError: If the restitution is missing or given twice, if a corrected drive would make it
@@ -86,7 +86,7 @@ def hybrid_system(
         is_plain = not (one.drive.holds or one.drive.frictions)
         if switches is None and is_plain and not any(kinks):
             return one.as_built()
-        return replace(one, graph=graph_of_one_stop(one, switches or ())).as_built()
+        return replace(one, modes=graph_of_one_stop(one, switches)).as_built()
     if restitution is not None and not lagrangian.stops:
         raise ValueError(
             "Argument `restitution` must be left out of a machine without a stop. If it has one, "
@@ -97,10 +97,10 @@ def hybrid_system(
             "Argument `restitution` must be left out of `hybrid_system`: every stop has its own."
         )
     one = completed(lagrangian, drive, ca.SX(watched(lagrangian.stops)[0].restitution))
-    return replace(one, graph=_graph(one, lagrangian.stops, tuple(switches or ()))).as_built()
+    return replace(one, modes=_graph(one, lagrangian.stops, tuple(switches or ()))).as_built()
 
 
-def graph_of_one_stop(one: CompletedSystem, switches: Sequence[Switch] = ()) -> ModeGraph:
+def graph_of_one_stop(one: CompletedSystem, switches: Sequence[Switch] | None = None) -> ModeGraph:
     """Return the graph of modes of a machine with one stop, which is named `stop`.
 
     Args:
@@ -111,7 +111,7 @@ def graph_of_one_stop(one: CompletedSystem, switches: Sequence[Switch] = ()) -> 
         ValueError: If a switch is invalid, or the gap has a kink.
     """
     stop = Stop(name="stop", gap=one.gap, restitution=one.stop_restitution)
-    return _graph(one, (stop,), tuple(switches))
+    return replace(_graph(one, (stop,), tuple(switches or ())), is_named=switches is not None)
 
 
 def system_of_stop(

@@ -236,12 +236,10 @@ class _Model:
 def _held(base: CompletedSystem, at: str, states: ca.SX, after: ca.SX) -> CompletedSystem:
     """Return a machine with further states that are set at one of its events."""
     graph = base.graph
-    declared = () if graph is None else graph.switches
-    causes = () if graph is None else graph.causes
     switches = [
         one
-        for k, (one, cause) in enumerate(zip(declared, causes, strict=True))
-        if not (cause or (graph is not None and k in graph.frictional))
+        for k, (one, cause) in enumerate(zip(graph.switches, graph.causes, strict=True))
+        if not (cause or k in graph.frictional)
     ]
     kind, _, name = at.partition(" ")
     part: Hold | Auxiliary = Hold(states=states, at=at, after=after)

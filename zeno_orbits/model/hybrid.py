@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -33,7 +34,7 @@ _ROUNDING, _OF_STATES = 1e-9, 1e-14
 """Rounding of formulas over their size, and of a change of states with values of about 1."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CompletedSystem:
     r"""A completed hybrid system in symbols.
 
@@ -68,7 +69,7 @@ class CompletedSystem:
         drive: Drive of the mechanism.
         belt_power: Power that moving surfaces deliver to the parts that stick to them, off the stop
             and on it, ``(2,)`` [W].
-        graph: All modes of a machine with several stops or switches, or ``None``. The other fields
+        modes: The modes of a machine with several stops or switches, or ``None``. The other fields
             then describe its first stop alone.
         is_built: Whether it is as `hybrid_system` returns it. A copy with other formulas is not: no
             mechanism and no drive has them, and the modes are made from these.
@@ -98,13 +99,20 @@ class CompletedSystem:
     stop_restitution: ca.SX
     drive: Drive
     belt_power: ca.SX = field(default_factory=lambda: ca.SX(2, 1))
-    graph: ModeGraph | None = None
+    modes: ModeGraph | None = None
     is_built: bool = field(default=False, init=False, repr=False, compare=False)
 
     def as_built(self) -> CompletedSystem:
         """Return the system, marked as built."""
         object.__setattr__(self, "is_built", True)
         return self
+
+    @cached_property
+    def graph(self) -> ModeGraph:
+        """All modes of the machine. A stop without a declared graph has the name `stop`."""
+        from zeno_orbits.model.graph import graph_of_one_stop
+
+        return self.modes or graph_of_one_stop(self)
 
     @property
     def restitution(self) -> ca.SX:

@@ -40,6 +40,7 @@ class ModeGraph:
         state: ``(q, v, states of the drive, clock)``.
         causes: The event of a stop that causes each declared switch, or no text for a switch with
             a guard of its own. The latter come first.
+        is_named: Whether the machine names its stops. The one ``gap`` of a mechanism is unnamed.
     """
 
     mechanism: HybridLagrangian
@@ -54,6 +55,7 @@ class ModeGraph:
     resets: tuple[ca.SX, ...]
     state: ca.SX
     causes: tuple[str, ...] = ()
+    is_named: bool = True
     _branches: dict[tuple[tuple[bool, ...], tuple[int, ...]], _Branch] = field(
         default_factory=dict["tuple[tuple[bool, ...], tuple[int, ...]]", "_Branch"],
         compare=False,
@@ -76,7 +78,7 @@ class ModeGraph:
 
     @property
     def reason(self) -> str:
-        """The property that gives the machine another form than one stop, for messages."""
+        """The property that gives the machine another form than one stop, or an empty text."""
         if len(self.stops) > 1:
             return "several stops"
         if not self.stops:
@@ -89,7 +91,13 @@ class ModeGraph:
             return "a linear or monotone table"
         if self.conditions:
             return "a kink of the state (`fmin`, `fmax`, `fabs`, `sign`, `if_else`, `atan2`)"
-        return "a stop with a name, of `stops` (a `gap` of its mechanism is unnamed)"
+        name = "a stop with a name, of `stops` (a `gap` of its mechanism is unnamed)"
+        return name if self.is_named else ""
+
+    @property
+    def named_stops(self) -> tuple[str, ...]:
+        """Names of the stops that the machine names."""
+        return tuple(stop.name for stop in self.stops if self.is_named)
 
     @property
     def n_watched(self) -> int:

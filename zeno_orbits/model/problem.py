@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +24,6 @@ from zeno_orbits.model.contact import require_zeno_points
 from zeno_orbits.model.drawing import DrawingFunction, lines_of
 from zeno_orbits.model.expressions.formula_units import unit_of
 from zeno_orbits.model.expressions.units import energy_unit, require_coherent
-from zeno_orbits.model.graph import graph_of_one_stop
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.mistakes import place_of
 from zeno_orbits.model.modes import ModeGraph
@@ -42,7 +42,6 @@ from zeno_orbits.model.quantities import (
 )
 from zeno_orbits.model.rig_parts import Rig
 from zeno_orbits.model.starts import Start, require_starts, state_of
-from zeno_orbits.model.stops import Stop
 from zeno_orbits.model.validation import (
     built,
     require_known_symbols,
@@ -200,14 +199,14 @@ class Problem(Declared):
         """
         system = self.model(symbols)
         graph = system.graph
-        if graph is not None and (len(graph.stops) != 1 or graph.switches):
+        if len(graph.stops) != 1 or graph.switches:
             raise _needs_one_stop(self, graph)
         return system
 
     @property
     def has_graph(self) -> bool:
         """True for a machine with several stops, with switches or with kinks of the state."""
-        return _built(self)[0].graph is not None
+        return bool(_built(self)[0].graph.reason)
 
     def compiled_graph(self) -> CompiledGraph:
         """Return the functions of a machine over its modes.
@@ -254,8 +253,7 @@ class Problem(Declared):
     @property
     def modes_reason(self) -> str:
         """The property that gives the machine several modes, for messages, or an empty text."""
-        graph = _built(self)[0].graph
-        return "" if graph is None else graph.reason
+        return _built(self)[0].graph.reason
 
     @property
     def has_time(self) -> bool:
@@ -361,7 +359,7 @@ class Problem(Declared):
         require_known_symbols(system, symbols)
         values = self.values()
         looks = [*self.output_formulas(system, symbols), *self.lines(system, symbols).values()]
-        looks += [] if system.graph is None else system.graph.formulas
+        looks += system.graph.formulas
         unused = unused_symbols(system, symbols, looks)
         for name in unused:
             if not self.derived_from([name], values.parameters):
@@ -374,7 +372,8 @@ class Problem(Declared):
         require_coherent(self.units | {f"gap of {name}": u for name, u in self.gap_units.items()})
         starts = [self._checked_start(k, values) for k in range(len(self.starts))]
         units = self.state_units
-        dynamics = self.dynamics(values) if system.graph is None else self._first_stop(values)
+        self._require_named_stops(system.graph.named_stops, values, starts)
+        dynamics = self.first_system(values)
         require_sound_numbers(system, symbols, values.vector, dynamics, units, starts)
         for word in self.fidelities:
             self.at_fidelity(word).checked()
@@ -394,27 +393,26 @@ class Problem(Declared):
                 raise
             raise InputError(f"Argument `starts`: {reason}") from error
 
-    def _first_stop(self, values: ParameterValues) -> HybridDynamics:
-        """Return the dynamics of the first of several stops, if no two are one.
+    def _require_named_stops(
+        self, names: Sequence[str], values: ParameterValues, starts: Sequence[Sequence[float]]
+    ) -> None:
+        """Refuse two stops that are one, and starts inside of a stop.
 
         Raises:
             InputError: If two stops are one at a start, or a start is inside of a stop.
         """
         from zeno_orbits.model.numeric.admission import require_outside
 
-        graph = self.graph_dynamics(values)
-        for number, start in enumerate(self.starts, start=1):
-            x = np.array(self.state_vector(start, values))
-            for k, name in enumerate(graph.stop_names):
-                view = graph.view(graph.open_mode, k)
-                require_outside(view, x, 0.0, name, subject=f"Start {number}")
+        for (number, start), (k, name) in product(enumerate(starts, start=1), enumerate(names)):
+            graph, x = self.graph_dynamics(values), np.array(start)
+            view = graph.view(graph.open_mode, k)
+            require_outside(view, x, 0.0, name, subject=f"Start {number}")
             equal = graph.equal_stops(x)
             if equal is not None:
                 raise InputError(
                     f"Argument `stops` must hold different stops, but `{equal[0]}` and "
                     f"`{equal[1]}` have the same gap."
                 )
-        return graph.first
 
     def output_formulas(
         self, system: CompletedSystem, symbols: Mapping[str, ca.SX]
@@ -623,11 +621,9 @@ class Problem(Declared):
     def gap_units(self) -> dict[str, str]:
         """Unit of the gap of each stop, declared by the stop or inferred from its formula."""
         system, symbols = _built(self)
-        one = Stop(name="stop", gap=system.gap, restitution=system.restitution)
-        stops = (one,) if system.graph is None else system.graph.stops
         states = zip(ca.vertsplit(system.state), self.state_units, strict=True)
         units = [*states, *((symbols[name], self.units[name]) for name in self.names)]
-        return {stop.name: stop.unit or unit_of(stop.gap, units) for stop in stops}
+        return {stop.name: stop.unit or unit_of(stop.gap, units) for stop in system.graph.stops}
 
     @of_kinds
     def state_vector(
@@ -760,7 +756,7 @@ def _compiled_graph(problem: Problem) -> CompiledGraph:
             "it are replaced. Change the mechanism, its stops or its drive instead."
         )
     return CompiledGraph(
-        graph=system.graph or graph_of_one_stop(system),
+        graph=system.graph,
         symbols=symbols,
         state_names=problem.state_names,
         starts=partial(_starts_at, problem),
@@ -778,7 +774,7 @@ def _compiled(problem: Problem) -> CompiledSystem:
     from zeno_orbits.model.numeric.compiled import compile_system
 
     system, symbols = _built(problem)
-    if system.graph is not None:
+    if system.graph.reason:
         raise _needs_one_stop(problem, system.graph)
     compiled = compile_system(system, symbols, problem.state_names)
     starts = partial(_starts_at, problem)

@@ -59,8 +59,6 @@ def _digest_of_graph(problem: Problem) -> tuple[float, ...]:
     symbols = problem.symbols()
     system = problem.model(symbols)
     graph = system.graph
-    if graph is None:
-        return ()
     groups = (
         (system.free_flow,),
         (system.energy,),

@@ -35,7 +35,6 @@ from zeno_orbits.model import (
     Rig,
     accelerate,
     dense_function,
-    graph_of_one_stop,
     mode_functions,
     system_of_stop,
 )
@@ -159,7 +158,7 @@ def machine(problem: Problem, rig: Rig) -> Machine:
     system = problem.model(symbols)
     require_place(problem, system, rig)
     p = ca.vertcat(*symbols.values())
-    graph = system.graph or graph_of_one_stop(system)
+    graph = system.graph
 
     def branch(sides: tuple[bool, ...], touched: tuple[int, ...]) -> _Parts:
         return _Parts(problem, system_of_stop(graph, ((), sides), 0, touched), graph, rig, p)
@@ -214,7 +213,7 @@ def require_place(problem: Problem, system: CompletedSystem, rig: Rig) -> None:
             )
     for motor in rig.gears:
         _coupling(system, motor)
-    moved = () if system.graph is None else system.graph.switches
+    moved = system.graph.switches
     if rig.gears and any(one.q_after is not None or one.v_after is not None for one in moved):
         wanted = "must be left out of a machine whose switches change coordinates or velocities"
         raise InputError(f"Argument `gears` {wanted}.")

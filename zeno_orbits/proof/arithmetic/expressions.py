@@ -145,8 +145,6 @@ def _seen(problem: Problem, symbols: Mapping[str, ca.SX], view: MachineView | No
         one = problem.one_stop_model(symbols)
         return _Seen(system=one, gaps=(one.gap,), stop=0, guards=none, armed=none, resets=())
     graph = problem.model(symbols).graph
-    if graph is None:
-        raise LookupError(problem.name)
     n, sides = len(graph.switches), view.sides
     every = [graph.guard(sides, k) for k in range(n + len(sides))]
     gaps = tuple(stop.gap for stop in watched(graph.stops))

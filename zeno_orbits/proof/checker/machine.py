@@ -101,7 +101,7 @@ def bound_machine(
     stop, own = entries(data["machine"], "stop", "sides")
     symbols = problem.symbols()
     graph = problem.model(symbols).graph
-    if graph is None or type(stop) is not int or not 0 <= stop < graph.n_watched:
+    if type(stop) is not int or not 0 <= stop < graph.n_watched:
         raise InputError("The certificate's `machine` must have a stop of the problem.")
     n_kinks, n_stops = len(graph.conditions), graph.n_watched
     start = View(stop, read_sides(n_kinks, own))
