@@ -26,7 +26,6 @@ from zeno_orbits.model import (
     HybridDynamics,
     HybridLagrangian,
     Problem,
-    graph_of,
     hybrid_system,
     load_problem,
     no_drive,
@@ -161,7 +160,7 @@ def test_another_event_sequence_is_refused(oscillator: HybridDynamics) -> None:
     start = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))
     given = {"section": "release stop", "guess": TURN, "settings": SETTINGS}
     sequence = ("zeno stop", "release stop")
-    graph = graph_of(oscillator, "stop")
+    graph = oscillator.as_graph("stop")
     twice = event_return(graph, start, n_returns=2, sequence=2 * sequence, **given)
     assert twice.period == pytest.approx(2 * TURN, abs=1e-10)
     with pytest.raises(SimulationError, match="event sequence changes to `zeno stop, release"):

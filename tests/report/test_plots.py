@@ -346,6 +346,18 @@ def test_the_flights_of_the_law_continue_the_resolved_ones_of_a_ball() -> None:
     assert law[0][0, 0] == pytest.approx(last.time)
 
 
+def test_a_zoom_begins_at_the_last_release_before_its_zeno_point() -> None:
+    # Both periods of an orbit are alike, so a zoom into the second one shows no more impacts.
+    once, twice = (pendulum(releases=n) for n in (1, 2))
+    shown = [marked(plot_zeno_neighbourhood(*one).axes[2]) for one in map(_drawn, (once, twice))]
+    assert len(twice.execution.impacts) == 2 * len(once.execution.impacts)
+    assert len(shown[0]) == len(shown[1]) == len(once.execution.impacts)
+
+
+def _drawn(one: Shown) -> tuple[Problem, Execution, HybridDynamics]:
+    return one.problem, one.execution, one.dynamics
+
+
 def test_the_boundary_of_the_region_is_the_published_curve(orbit: Shown) -> None:
     ax = plot_zeno_set(orbit.problem, orbit.dynamics).axes[0]
     (boundary,) = [item for item in ax.collections if np.ravel(item.get_linewidth())[0] == 1.2]

@@ -28,7 +28,11 @@ def system(**parts: Any) -> Any:
         "on_stop": lambda x: np.array([0.0, 0.0, x[2]]),
         "differentiation": None,
     }
-    return SimpleNamespace(**{**named, **parts})
+    made = SimpleNamespace(**{**named, **parts})
+    made.as_graph = lambda stop: SimpleNamespace(
+        stop_names=(stop,), mode_of=lambda _, sides: ((), sides), view=lambda *_: made
+    )
+    return made
 
 
 def state(*entries: float) -> Any:

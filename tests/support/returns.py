@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import GraphDynamics, HybridDynamics, graph_of
+from zeno_orbits.model import GraphDynamics, HybridDynamics
 from zeno_orbits.orbits import (
     RELEASE_ROWS,
     EventReturn,
@@ -33,7 +33,7 @@ def release_return(
     parameters: Sequence[int] = (),
 ) -> EventReturn:
     """Return the motion from a release state to the next release, with derivatives."""
-    graph = graph_of(machine, "stop")
+    graph = machine.as_graph("stop")
     return event_return(
         graph,
         graph.first.on_stop(x),
@@ -54,4 +54,4 @@ def next_release(machine: HybridDynamics, x: Vector, *, guess: float) -> tuple[f
 def multipliers_at(machine: HybridDynamics, x: Vector, period: float) -> tuple[complex, ...]:
     """Return the multipliers of the orbit through a release state, the largest first."""
     found = release_return(machine, x, guess=period)
-    return multipliers_of_return(graph_of(machine, "stop"), found)
+    return multipliers_of_return(machine.as_graph("stop"), found)

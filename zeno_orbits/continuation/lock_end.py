@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.families import SpecialPointKind
-from zeno_orbits.continuation.return_maps import ReturnMap, cut_after
+from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.continuation.special_points.test_functions import multiplier_change, with_course
@@ -89,7 +89,7 @@ def locate_cut_near(
     """
     for n in _KNOWN_CUTS:
         try:
-            here = correct(cut_after(returns, n), metric, z, along)
+            here = correct(returns.cut_after(n), metric, z, along)
             near = _Near(centre=here.z, reach=_BESIDE)
             return _cut_ever_later(returns, metric, here, n, _FIRST_STEP, margin, near)
         except ZenoOrbitsError:
@@ -129,7 +129,7 @@ def _cut_ever_later(
     limits: list[Vector] = []
     error = np.inf
     for _ in range(_MOST_CUTS):
-        here = _cut_root(cut_after(returns, n), metric, here, step, cut, near)
+        here = _cut_root(returns.cut_after(n), metric, here, step, cut, near)
         found.append(here)
         if len(found) > 1:
             change = found[-1].z - found[-2].z
@@ -143,10 +143,10 @@ def _cut_ever_later(
                 break
         n += stride
     # The error is the last change of the limit plus the change of the root at a looser tolerance.
-    loose = corrected_again(cut_after(returns, n).loosened(), metric, here)
-    slope = _slope(cut_after(returns, n), metric, here, cut, max(step, 1e-9))
+    loose = corrected_again(returns.cut_after(n).loosened(), metric, here)
+    slope = _slope(returns.cut_after(n), metric, here, cut, max(step, 1e-9))
     doubt = abs(loose.found.margins[cut] - here.found.margins[cut]) / abs(slope)
-    here = with_course(cut_after(returns, n), metric, here, max(step, 1e-9))
+    here = with_course(returns.cut_after(n), metric, here, max(step, 1e-9))
     # A shorter truncation approximates the multipliers less well.
     moved = multiplier_change(here, found[-2])
     return Located(
@@ -176,7 +176,7 @@ def _telling_cuts(
     n, cut = 2, replace(margin, loss=MarginKind.CUT)
     while n < _MOST_IMPACTS:
         try:
-            point = correct(cut_after(returns, n), metric, last.z, last.tangent)
+            point = correct(returns.cut_after(n), metric, last.z, last.tangent)
         except ZenoOrbitsError:
             point = None
         if point is not None and point.found.margins[cut] > 0.0:

@@ -182,6 +182,14 @@ class ReturnMap(Protocol):
         """Return the same map along another line."""
         ...
 
+    def cut_after(self, n_impacts: int) -> ReturnMap:
+        """Return the same map with truncated impact sequences.
+
+        Args:
+            n_impacts: Number of impacts before each plastic reset.
+        """
+        ...
+
 
 LOOSER = 30.0
 """Factor on the tolerances for the second computation of a point."""
@@ -267,6 +275,10 @@ class EventReturns:
         """Return the same map along another line."""
         return replace(self, line=line)
 
+    def cut_after(self, n_impacts: int) -> EventReturns:
+        """Return the same map with truncated impact sequences."""
+        return replace(self, cut=n_impacts)
+
     def loosened(self) -> EventReturns:
         """Return the same map at a looser tolerance."""
         return replace(self, settings=relaxed_settings(self.settings, factor=LOOSER))
@@ -334,20 +346,6 @@ class EventReturns:
         }
 
 
-def cut_after(returns: ReturnMap, n_impacts: int) -> ReturnMap:
-    """Return a map with the impact sequences of its returns truncated.
-
-    Args:
-        returns: Map of one or several returns.
-        n_impacts: Number of impacts before each plastic reset.
-    """
-    if isinstance(returns, Composed):
-        return Composed(maps=tuple(cut_after(one, n_impacts) for one in returns.maps))
-    if not isinstance(returns, EventReturns):
-        raise TypeError("Argument `returns` must be a map of returns of events.")
-    return replace(returns, cut=n_impacts)
-
-
 def _from_separatrix(dynamics: HybridDynamics, impact: Impact) -> float:
     r"""Return :math:`1 - r / r_*` after an impact.
 
@@ -400,6 +398,10 @@ class Composed:
     def moved_to(self, line: Line) -> Composed:
         """Return the same map along another line."""
         return Composed(maps=tuple(one.moved_to(line) for one in self.maps))
+
+    def cut_after(self, n_impacts: int) -> Composed:
+        """Return the same map with truncated impact sequences."""
+        return Composed(maps=tuple(one.cut_after(n_impacts) for one in self.maps))
 
     def loosened(self) -> Composed:
         """Return the same map at a looser tolerance."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import groupby
 
 import numpy as np
 
@@ -98,20 +99,21 @@ def attractors_from(
     Raises:
         InputError: If a bound is unknown or not positive.
     """
-    limits = _limits(problem, bounds)
+    limits, exact = _limits(problem, bounds), accuracy or Accuracy()
     found: list[Attractor] = []
-    graph: tuple[ParameterValues, GraphDynamics] | None = None
-    for values, state in motions:
+    for _, alike in groupby(motions, key=lambda motion: id(motion[0])):
+        values, states = zip(*alike, strict=True)
         try:
-            if graph is None or graph[0] is not values:
-                graph = values, problem.graph_dynamics(values)
+            graph = problem.graph_dynamics(values[0])
         except InputError as error:
             # A derived value may be outside of its range.
-            found.append(Attractor(fate=AttractorClass.FAILED, detail=str(error)))
-        else:
-            exact = accuracy or Accuracy()
-            found.append(_settled(problem, graph[1], state, until, limits, exact, known)[0])
-        on_progress("classifying motions", len(found) / len(motions))
+            failed = Attractor(fate=AttractorClass.FAILED, detail=str(error))
+            found += [failed] * len(states)
+            on_progress("classifying motions", len(found) / len(motions))
+            continue
+        for state in states:
+            found.append(_settled(problem, graph, state, until, limits, exact, known)[0])
+            on_progress("classifying motions", len(found) / len(motions))
     return tuple(found)
 
 

@@ -60,7 +60,6 @@ from .numeric.graph_dynamics import CompiledGraph as CompiledGraph
 from .numeric.graph_dynamics import GraphDynamics as GraphDynamics
 from .numeric.hybrid_dynamics import HybridDynamics as HybridDynamics
 from .numeric.one_stop import OneStop as OneStop
-from .numeric.one_stop import graph_of as graph_of
 from .numeric.stop_states import ContactProjection as ContactProjection
 from .numeric.own_scale import START_OFF as START_OFF
 from .numeric.own_scale import constraint_sizes as constraint_sizes

@@ -246,9 +246,7 @@ class Problem(Declared):
         Args:
             values: Values of every gain and parameter, or the parameter vector, ``(n_p,)``.
         """
-        from zeno_orbits.model.numeric.one_stop import graph_of
-
-        return graph_of(self.system(values)).first
+        return self.system(values).as_graph().first
 
     @property
     def modes_reason(self) -> str:

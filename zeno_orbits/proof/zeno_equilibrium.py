@@ -109,8 +109,6 @@ class EquilibriumReport:
 
 def _dynamics_at(problem: Problem, numbers: ParameterValues, state: Vector) -> HybridDynamics:
     """Return the system of the stop, on the branch of the kinks at a state."""
-    if not problem.has_graph:
-        return problem.dynamics(numbers)
     graph = problem.graph_dynamics(numbers)
     return graph.view(((), graph.sides_at(state, graph.open_mode[1])), 0)
 

@@ -114,14 +114,10 @@ def close_ups(
 def _close_up(
     execution: Execution, dynamics: HybridDynamics | GraphDynamics, zeno: ZenoPoint
 ) -> CloseUp:
-    if isinstance(dynamics, GraphDynamics):
-        tail = next(arc for arc in execution.arcs if arc.end_time == zeno.time)
-        stop = dynamics.stop_names.index(zeno.stop)
-        mode = tail.mode_in(dynamics)
-        dynamics = dynamics.view(mode, stop)
-        ends = [arc.end_time for arc in execution.arcs if zeno.stop in arc.closed]
-    else:
-        ends = [release.time for release in execution.releases]
+    graph = dynamics.as_graph(zeno.stop)
+    stop = graph.stop_names.index(zeno.stop)
+    tail = next(arc for arc in execution.arcs if arc.end_time >= zeno.time)
+    ends = [arc.end_time for arc in execution.arcs if stop in arc.mode_in(graph)[0]]
     begin = max((time for time in ends if time < zeno.time), default=0.0)
     impacts = tuple(
         event
@@ -133,7 +129,7 @@ def _close_up(
     arcs = tuple(arc for arc in resolved if arc.start_time >= begin)
     return CloseUp(
         arcs=arcs,
-        dynamics=dynamics,
+        dynamics=graph.view(tail.mode_in(graph), stop),
         zeno=zeno,
         impacts=impacts,
         flights=tuple(arc for arc in arcs if first <= arc.start_time < zeno.time),

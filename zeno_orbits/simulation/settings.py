@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import require_counts
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
-from zeno_orbits.model import GraphDynamics, HybridDynamics, graph_of
+from zeno_orbits.model import GraphDynamics, HybridDynamics
 from zeno_orbits.simulation.zeno.completion import Completion, ZenoPassage
 from zeno_orbits.work import Checked, Progress, silent
 
@@ -76,7 +76,7 @@ class SimulationTask:
 
     def __post_init__(self) -> None:
         """Look at the system as a graph of modes."""
-        object.__setattr__(self, "graph", graph_of(self.dynamics))
+        object.__setattr__(self, "graph", self.dynamics.as_graph())
 
     @property
     def past_switch(self) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, StepLimitError, any_number
 from zeno_orbits.loop import UnknownOperationError, loop_library
-from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics, graph_of
+from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics
 from zeno_orbits.simulation.arc_follower import ArcStart
 from zeno_orbits.simulation.compiled.executions import by_loop, pieces_by_loop, serves
 from zeno_orbits.simulation.compiled.legs import LegFollower
@@ -81,7 +81,7 @@ def simulate(
 
 def _restitutions(dynamics: HybridDynamics | GraphDynamics) -> list[float]:
     """Return the restitution of every stop."""
-    return [view.restitution for view in graph_of(dynamics).open_views]
+    return [view.restitution for view in dynamics.as_graph().open_views]
 
 
 def simulated_at_most(

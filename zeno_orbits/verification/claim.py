@@ -9,7 +9,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, finite_number
-from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, graph_of, load_reference
+from zeno_orbits.model import GraphDynamics, HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import Orbit, OrbitEvent
 
 _OPENED = 1e-6
@@ -229,7 +229,7 @@ class Case:
         own = problem.graph_dynamics(values)
         if dynamics is None and use_reference:
             dynamics = load_reference(problem).dynamics(values)
-        graph = own if dynamics is None else graph_of(dynamics, "".join(own.stop_names[:1]))
+        graph = own if dynamics is None else dynamics.as_graph("".join(own.stop_names[:1]))
         if (graph.state_names, graph.stop_names) != (own.state_names, own.stop_names):
             wanted = f"must have the states and stops of problem `{problem.name}`"
             raise InputError(f"Argument `dynamics` {wanted}.")

@@ -48,7 +48,7 @@ from zeno_orbits.experiment.comparison.verdict import (
     contact_finding,
     differing,
 )
-from zeno_orbits.experiment.orbit_table import GAP, STOP, OrbitTable, PeriodTable
+from zeno_orbits.experiment.orbit_table import OrbitTable, PeriodTable
 from zeno_orbits.experiment.recordings.contacts import contact_channels, contact_names
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
@@ -232,8 +232,7 @@ def compare_recording(
     """
     errors: Mapping[InstrumentReading, Estimate] = {}
     if readings:
-        graph = problem.graph_dynamics(orbit.values(problem)) if problem.has_graph else None
-        titles = contact_names((STOP,) if graph is None else graph.stop_names)
+        titles = contact_names(problem.graph_dynamics(orbit.values(problem)).stop_names)
         recording, errors = without_errors(orbit, problem, recording, readings, titles)
     named = {f"{one.channel}.{one.kind.value}": errors[one] for one in errors}
     found = replace(_compared(orbit, problem, recording), instruments=named)
@@ -248,7 +247,7 @@ def compare_recording(
 def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Comparison:
     """Return the comparison, with another name of the problem as a remark alone."""
     values = orbit.values(problem)
-    stops = problem.graph_dynamics(values).stop_names if problem.has_graph else (STOP,)
+    stops = problem.graph_dynamics(values).stop_names
     channels, titles = contact_channels(recording, stops), contact_names(stops)
     names = shared_signals(problem, recording, titles)
     remarks = _oddities(recording, problem, names, titles)
@@ -256,7 +255,6 @@ def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Compariso
     # Portraits need rates in addition to the recorded signals.
     seconds = [one.signals[1] for one in recorded_portraits_of(problem, names)]
     more = [name for name in seconds if name not in names]
-    more += [] if problem.has_graph else [GAP]
     overlay = lay_over(
         orbit, problem, recording, names, also=tuple(dict.fromkeys(more)), channels=channels
     )

@@ -18,6 +18,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.comparison.alignment import Alignment, aligned
 from zeno_orbits.experiment.comparison.event_contacts import SeenEvents
 from zeno_orbits.experiment.orbit_table import (
+    GAP,
     PeriodTable,
     measurable,
     tabulate_events,
@@ -211,15 +212,15 @@ def lay_over(
     time = recording.time
     values = np.array([recording.signal(name).values for name in names]).reshape(-1, len(time))
     rows = values if names else np.array(list(channels.values()))
-    graph = problem.graph_dynamics(orbit.values(problem)) if problem.has_graph else None
-    halves = graph is not None and graph.exchanges_coordinates
+    graph = problem.graph_dynamics(orbit.values(problem))
+    halves = graph.exchanges_coordinates
     found = _periodicity(time, rows, orbit.period, halves=halves)
     if found is None or found.n_cycles < 1.0:
         return None
     if not orbit.has_phases:
         table = tabulate_events(orbit, problem, (*names, *also))
     else:
-        table = tabulate_orbit(orbit, problem, (*names, *also))
+        table = tabulate_orbit(orbit, problem, (*names, *also, GAP))
     where = aligned(table, time, values, found, names) if names else None
     period = _single(found.period, table.period) if where is None else where.period
     seen = SeenEvents.of(time, channels, table.sequences, table.period, period)
@@ -234,7 +235,7 @@ def lay_over(
         where=where,
         seen=seen,
         halves=halves,
-        coordinates=() if graph is None else problem.state_names[: graph.n_q],
+        coordinates=problem.state_names[: graph.n_q],
     )
 
 

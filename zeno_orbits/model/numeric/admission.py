@@ -8,7 +8,6 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.numeric.graph_dynamics import GraphDynamics
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.numeric.one_stop import graph_of
 from zeno_orbits.model.numeric.own_scale import START_OFF, constraint_sizes
 
 
@@ -74,7 +73,7 @@ def require_start(
     Raises:
         InputError: If the state is not admissible. The message contains the reason.
     """
-    graph = graph_of(system)
+    graph = system.as_graph()
     require_admissible(graph.first, x)
     _require_sides(graph, x, subject)
     for k, name in enumerate(graph.stop_names):

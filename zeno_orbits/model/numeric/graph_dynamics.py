@@ -522,6 +522,11 @@ class GraphDynamics:
         sides = self._sides_at(x, np.zeros(x.size), self.open_mode[1], ())
         return self.view(((), sides), stop)
 
+    def as_graph(self, stop: str = "") -> GraphDynamics:
+        """Return the graph itself, whose stops have names."""
+        del stop
+        return self
+
     def guard_flow(self, mode: GraphMode, switch: int, above: bool) -> CompiledFlow:
         """Return the flow of a mode, with the guard of a switch on one side of it."""
         key = (mode, switch, above)

@@ -22,6 +22,7 @@ from zeno_orbits.model.scale import CharacteristicScales, usual
 
 if TYPE_CHECKING:
     from zeno_orbits.model.numeric.compiled import CompiledSystem
+    from zeno_orbits.model.numeric.graph_dynamics import GraphDynamics
 
 _BEYOND = ": the drive's correction is as large as the corrected value; use the full problem."
 
@@ -154,6 +155,16 @@ class HybridDynamics:
             speed: Speed at which it closes the gap.
         """
         return self.restitution if self.restitution_at is None else self.restitution_at(speed)
+
+    def as_graph(self, stop: str = "") -> GraphDynamics:
+        """Return the system as a graph of one mode.
+
+        Args:
+            stop: Name of its stop.
+        """
+        from zeno_orbits.model.numeric.one_stop import OneStop
+
+        return OneStop(self, stop)
 
     @property
     def own(self) -> CharacteristicScales:

@@ -78,13 +78,3 @@ class OneStop(GraphDynamics):
     def delassus(self, x: Vector) -> Vector:
         r"""Return :math:`J W J^\top` of the stop, ``(1, 1)``."""
         return np.array([[1.0 / self._dynamics.normal_inertia(x)]])
-
-
-def graph_of(system: HybridDynamics | GraphDynamics, stop: str = "") -> GraphDynamics:
-    """Return a system as a graph of modes.
-
-    Args:
-        system: The system, or its graph.
-        stop: Name of the stop of a system that is not a graph.
-    """
-    return OneStop(system, stop) if isinstance(system, HybridDynamics) else system

@@ -19,7 +19,6 @@ from zeno_orbits.model import (
     GraphDynamics,
     GraphMode,
     HybridDynamics,
-    graph_of,
 )
 from zeno_orbits.simulation.derivatives.sensitivity import (
     SaltationDerivative,
@@ -54,7 +53,7 @@ class EventDerivatives:
         Raises:
             InputError: If the machine does not have formulas.
         """
-        self.graph, self.chosen, self.tolerance = graph_of(system), tuple(chosen), tolerance
+        self.graph, self.chosen, self.tolerance = system.as_graph(), tuple(chosen), tolerance
         self.in_python = in_python
         self._known: dict[tuple[GraphMode, int], VariationalEquation] = {}
         # A system of plain functions is refused here.
