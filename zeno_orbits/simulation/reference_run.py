@@ -394,7 +394,7 @@ class ReferenceRun(StopRun):
     def _singular(self, error: StepSizeError, time: float) -> StepSizeError:
         """Return an error with the time of the execution, and a kink that is zero there."""
         x = np.array(error.state)[: len(self.dynamics.state_names)]
-        guards, rounding, _ = self.graph.guards(x, self.sides)
+        guards, rounding, _ = self.graph.guards(((), self.sides), x)
         n = self.graph.n_declared
         kinks = np.flatnonzero(np.abs(guards[n:]) <= _NEAR_KINK * rounding[n:])
         name = self.graph.switch_names[n + int(kinks[0])] if kinks.size else ""
@@ -464,13 +464,13 @@ class ReferenceRun(StopRun):
             for j in self.rest:
                 if not self._holding(self.rest, j).multiplier(x) > 0.0:
                     return False
-            guards, rounding, _ = self.graph.guards(x, self.sides, self.rest)
+            guards, rounding, _ = self.graph.guards((self.rest, self.sides), x)
             signs = np.where(self._signs(), guards, -guards)
             # A kink that splits every flight is zero at the limit itself.
             signs[list(self.split_by[0])] = np.inf
             if not np.all(signs > -_SPENT * rounding):
                 return False
-        values, rounding, _ = self.graph.guards(limit.state, self.sides)
+        values, rounding, _ = self.graph.guards(((), self.sides), limit.state)
         for kink in self.split_by[0]:
             if abs(values[kink]) <= _SPENT * rounding[kink]:
                 self._require_continuous(kink, limit.time, limit.state)
@@ -487,7 +487,7 @@ class ReferenceRun(StopRun):
             return self.phase(start)
         except PenetrationError as error:
             x = np.array(error.state)[: start.state.size]
-            guards, rounding, _ = self.graph.guards(x, self.sides)
+            guards, rounding, _ = self.graph.guards(((), self.sides), x)
             zero = np.flatnonzero(np.abs(guards) <= _SPENT * rounding)
             kinks = [int(s) for s in zero if s >= self.graph.n_declared]
             if self.seen.is_in_corner(self.own.time):
@@ -778,7 +778,7 @@ class ReferenceRun(StopRun):
         for k in range(len(self.graph.stop_names)):
             if k not in closed and not self._view((), k).gap(x) > 0.0:
                 return False
-        guards, levels, _ = self.graph.guards(x, self.sides, closed)
+        guards, levels, _ = self.graph.guards((tuple(closed), self.sides), x)
         for s, above in enumerate(self._signs()):
             value, small = float(guards[s]), _SPENT * float(levels[s])
             if not (value if above else -value) > -small:
@@ -871,7 +871,7 @@ class ReferenceRun(StopRun):
 
     def _take_sides(self, x: Vector) -> None:
         """Take the side of every switch at a state. A zero keeps the side of a kink."""
-        guards, rounding, _ = self.graph.guards(x, self.sides)
+        guards, rounding, _ = self.graph.guards(((), self.sides), x)
         declared = range(self.graph.n_declared)
         self.above = tuple(bool(not guards[k] < -rounding[k]) for k in declared)
         self.sides = self.graph.sides_at(x, self.sides)
@@ -902,7 +902,7 @@ class ReferenceRun(StopRun):
             else:
                 on_guard = gap <= rounding and not (gap > 0.0 and moves)
                 yield _Guard(Kind.GAP, k, view.free, x, None, on_guard, rounding)
-        values, levels, _ = self.graph.guards(x, self.sides, closed)
+        values, levels, _ = self.graph.guards((closed, self.sides), x)
         unknown = np.flatnonzero(np.isnan(values))
         if unknown.size:
             raise undefined_guard(self.graph.switch_names[int(unknown[0])], start.time, x)
@@ -1225,7 +1225,9 @@ class ReferenceRun(StopRun):
         """Return True if the zero of a guard is an event: a declared switch is armed and falls."""
         if kind is not Kind.SWITCH or index >= self.graph.n_declared:
             return True
-        return self.above[index] and bool(self.graph.guards(x, self.sides, closed)[2][index] > 0.0)
+        return self.above[index] and bool(
+            self.graph.guards((closed, self.sides), x)[2][index] > 0.0
+        )
 
     def _require_apart(
         self, struck: Sequence[int], closed: Sequence[int], time: float, x: Vector
@@ -1329,10 +1331,10 @@ class ReferenceRun(StopRun):
         if not self.graph.n_declared:
             return None
         x, closed = start.state, self._closed(start)
-        at_once = self.graph.due(x, self.sides, closed)
+        at_once = self.graph.due((closed, self.sides), x)
         if at_once is not None:
             return self._due_at_once(at_once, start)
-        values, levels, armed = self.graph.guards(x, self.sides, closed)
+        values, levels, armed = self.graph.guards((closed, self.sides), x)
         self._take_frictions(values, levels)
         for s in range(self.graph.n_declared):
             if not (self.above[s] and abs(values[s]) <= levels[s] and armed[s] > 0.0):
@@ -1447,7 +1449,7 @@ class ReferenceRun(StopRun):
     def _settled(self, time: float, x: Vector, closed: tuple[int, ...]) -> Vector:
         """Return the state after the switches of dry friction that another one of them forces."""
         for _ in range(self.graph.n_declared):
-            s = self.graph.due(x, self.sides, closed, forced=True)
+            s = self.graph.due((closed, self.sides), x, forced=True)
             name = "" if s is None else self.graph.switch_names[s]
             if s is None or time in self.seen.switches.get(name, ())[-1:]:
                 break
@@ -1461,9 +1463,9 @@ class ReferenceRun(StopRun):
         """Return True if a switch sets the state: it is declared and armed, and falls or is due."""
         if s >= self.graph.n_declared:
             return False
-        if self.above[s] and self.graph.guards(x, self.sides, closed)[2][s] > 0.0:
+        if self.above[s] and self.graph.guards((closed, self.sides), x)[2][s] > 0.0:
             return True
-        return self.graph.due(x, self.sides, closed) == s
+        return self.graph.due((closed, self.sides), x) == s
 
     def _count_switch(self, time: float, name: str, before: Vector, after: Vector) -> None:
         event = SwitchEvent(time=time, name=name, state_minus=before, state_plus=after)

@@ -95,7 +95,7 @@ class GuardRanges:
     def _on_other_side(self, arc: Arc, states: Vector) -> float:
         """Return the largest guard of a kink on its other side, or of a switch that was passed."""
         n = self._graph.n_declared
-        guards, rounding, armed = self._graph.guards_along(states, arc.mode_in(self._graph))
+        guards, rounding, armed = self._graph.guards_along(arc.mode_in(self._graph), states)
         sizes = np.abs(guards) / np.maximum(rounding * _SIZE, 1e-300)
         wrong = (guards[:, n:] > 0.0) != np.array(arc.sides, dtype=bool)
         above = (guards[:-1, :n] > 0.0) & (armed[:-1] > 0.0)

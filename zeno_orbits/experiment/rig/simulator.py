@@ -191,7 +191,7 @@ class _Follower:
     def _signs_at(self, before: tuple[bool, ...]) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
         """Return the side of every declared switch and kink at the state. A zero keeps the side."""
         graph, x = self._graph, self._y[: self._machine.n_x]
-        guards, rounding, _ = graph.guards(x, before)
+        guards, rounding, _ = graph.guards(((), before), x)
         above = tuple(bool(not guards[k] < -rounding[k]) for k in range(graph.n_declared))
         return above, graph.sides_at(x, before)
 
@@ -276,7 +276,7 @@ class _Follower:
         for k in sorted(range(gaps.size), key=lambda k: k != first):
             yield RigGuard(k, on_guard=bool(insides[k] <= 0.0))
         x = self._y[: self._machine.n_x]
-        values, levels, _ = self._graph.guards(x, self._mode.sides)
+        values, levels, _ = self._graph.guards(((), self._mode.sides), x)
         sides = (*self._mode.above, *self._mode.sides)
         for s, (value, level, side) in enumerate(zip(values, levels, sides, strict=True)):
             if s < self._graph.n_declared and self._graph.causes[s]:
@@ -434,7 +434,7 @@ class _Follower:
         armed = (
             switch < graph.n_declared
             and before.above[switch]
-            and bool(graph.guards(x, before.sides)[2][switch] > 0.0)
+            and bool(graph.guards(((), before.sides), x)[2][switch] > 0.0)
         )
         if armed and falls:
             self._reset(switch)

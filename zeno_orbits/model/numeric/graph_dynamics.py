@@ -536,54 +536,40 @@ class GraphDynamics:
             self._flows[key] = CompiledFlow(functions, self.p, memory)
         return self._flows[key]
 
-    def guards(
-        self, x: Vector, sides: tuple[bool, ...], closed: Sequence[int] = ()
-    ) -> tuple[Vector, Vector, Vector]:
+    def guards(self, mode: GraphMode, x: Vector) -> tuple[Vector, Vector, Vector]:
         """Return the guards of all switches, their rounding levels, and the formulas `armed`.
 
         Args:
+            mode: The mode. The side of a kink determines the branch of later conditions. The
+                switches of dry friction depend on the closed stops.
             x: The state, ``(n_x,)``.
-            sides: The side of every kink, which determines the branch of later conditions.
-            closed: Indices of the closed stops, on which the switches of dry friction depend.
         """
         if not self.switch_names:
             return np.zeros(0), np.zeros(0), np.zeros(0)
+        closed, sides = mode
         return self._switches(x, self.own.states(x.size) + np.abs(x), sides, closed)
 
-    def guards_in(self, mode: GraphMode, x: Vector) -> tuple[Vector, Vector, Vector]:
-        """Return the same as `guards` in a mode.
+    def due(self, mode: GraphMode, x: Vector, *, forced: bool = False) -> int | None:
+        """Return a declared switch that occurs at the start of an arc without a zero, or ``None``.
 
         Args:
             mode: The mode.
             x: The state, ``(n_x,)``.
-        """
-        closed, sides = mode
-        return self.guards(x, sides, closed)
-
-    def due(
-        self, x: Vector, sides: tuple[bool, ...], closed: Sequence[int], *, forced: bool = False
-    ) -> int | None:
-        """Return a declared switch that occurs at the start of an arc without a zero, or ``None``.
-
-        Args:
-            x: The state, ``(n_x,)``.
-            sides: The side of every kink.
-            closed: Indices of the closed stops.
             forced: Whether only switches count that occur before the stops open or close.
         """
         if not self.sides_of_friction:
             return None
-        self.guards(x, sides, closed)
+        self.guards(mode, x)
         due = self._switches.due
         first = int(np.argmax(due))
         return first if due[first] >= (FORCED if forced else 1) else None
 
-    def guards_along(self, states: Vector, mode: GraphMode) -> tuple[Vector, Vector, Vector]:
+    def guards_along(self, mode: GraphMode, states: Vector) -> tuple[Vector, Vector, Vector]:
         """Return the same as `guards` at many states, ``(n, n_switches)`` each.
 
         Args:
-            states: The states, ``(n, n_x)``.
             mode: The mode.
+            states: The states, ``(n, n_x)``.
         """
         closed, sides = mode
         size = self.compiled.switches.numel_in(3)

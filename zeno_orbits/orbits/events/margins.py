@@ -280,7 +280,7 @@ def _margins_outside(
         if key[0] is not MarginKind.SWITCH_MISS:
             return True
         switch = graph.switch_names.index(key[1])
-        return switch >= graph.n_declared or graph.guards_in(arc.mode_in(graph), x)[2][switch] > 0.0
+        return switch >= graph.n_declared or graph.guards(arc.mode_in(graph), x)[2][switch] > 0.0
 
     lows = _lows(flown, conditions, found.events, phases)
     for arc, place, known, low in zip(flown, places, conditions, lows, strict=True):
@@ -367,7 +367,7 @@ def _conditions(
             found[MarginKind.NEAR_MISS, name] = _Guard(flow=view.free, zero=zero)
     if not graph.switch_names:
         return found
-    guards, levels, _ = graph.guards_in(arc.mode_in(graph), _inside(arc, 0.5))
+    guards, levels, _ = graph.guards(arc.mode_in(graph), _inside(arc, 0.5))
     absorbed = {
         name
         for begin, end, names in accumulating
@@ -434,7 +434,7 @@ def _of_arming(
     for arc in arcs:
         if arc.ending is not Ending.SWITCH:
             continue
-        guards, levels, _ = graph.guards_in(arc.mode_in(graph), arc.end_state)
+        guards, levels, _ = graph.guards(arc.mode_in(graph), arc.end_state)
         armed = graph.arming(arc.end_state)
         event, place = acts.get(arc.end_time), bisect_left(ends, arc.end_time)
         for switch in range(graph.n_declared):

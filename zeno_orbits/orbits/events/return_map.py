@@ -89,7 +89,7 @@ class Surface:
         for view, rows in self.contacts:
             parts.append(conditions(view, rows, x)[: len(rows)])
         if self.switch is not None:
-            parts.append(self.graph.guards_in(self.mode, x)[0][[self.switch]])
+            parts.append(self.graph.guards(self.mode, x)[0][[self.switch]])
         return np.concatenate(parts)
 
     def gradient(self, x: Vector, chosen: Sequence[int] = ()) -> Vector:
@@ -158,7 +158,7 @@ class Surface:
         declared = switch < graph.n_declared
         above = declared or self.mode[1][switch - graph.n_declared]
         falls = graph.guard_flow(self.mode, switch, above).guard(x)[1] < 0.0
-        armed = not declared or graph.guards_in(self.mode, x)[2][switch] > 0.0
+        armed = not declared or graph.guards(self.mode, x)[2][switch] > 0.0
         held = all(view.multiplier(x) > 0.0 for view, _ in self.contacts)
         return bool(falls and armed and held)
 
@@ -304,7 +304,7 @@ def is_one_sided(graph: GraphDynamics, found: EventReturn) -> bool:
 
 def _meets_a_kink(graph: GraphDynamics, x: Vector, arc: Arc, period: float) -> bool:
     mode = arc.mode_in(graph)
-    values, levels, _ = graph.guards(x, arc.sides)
+    values, levels, _ = graph.guards(((), arc.sides), x)
     flow = graph.flow(mode).rate(x)
     for k, side in enumerate(arc.sides):
         switch = graph.n_declared + k

@@ -1072,7 +1072,7 @@ def settles_at(execution: Execution, graph: GraphDynamics, section: str | None) 
 def _is_armed_again(graph: GraphDynamics, event: SwitchEvent) -> bool:
     """Return True if the reset of a declared switch leaves it armed, with its guard at zero."""
     k = graph.switch_names.index(event.name)
-    guards, levels, armed = graph.guards(event.state_plus, graph.open_mode[1])
+    guards, levels, armed = graph.guards(((), graph.open_mode[1]), event.state_plus)
     return bool(abs(guards[k]) <= levels[k] and armed[k] > 0.0)
 
 

@@ -483,7 +483,10 @@ def _fixed_event(graph: GraphDynamics, motion: Execution, chosen: Sequence[int])
     for event in motion.switches:
         switch = graph.switch_names.index(event.name)
         x, sides = np.asarray(event.state_minus), graph.open_mode[1]
-        if switch < graph.n_declared and graph.guards(event.state_plus, sides)[2][switch] > 0.0:
+        if (
+            switch < graph.n_declared
+            and graph.guards(((), sides), event.state_plus)[2][switch] > 0.0
+        ):
             # A motion cannot start where a declared switch is still armed.
             continue
         gradient = graph.guard_gradient(switch, x, chosen, ((), graph.sides_at(x, sides)))

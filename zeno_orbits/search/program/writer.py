@@ -371,7 +371,7 @@ class _Writer:
             holding = graph.holding(leg.mode, leg.index)
             values = [holding.multiplier(x) for x in states]
         else:
-            values = [graph.guards_in(leg.mode, x)[0][leg.index] for x in states]
+            values = [graph.guards(leg.mode, x)[0][leg.index] for x in states]
         return max(float(np.max(np.abs(values))), _LEAST)
 
     def _limit(self, k: int, legs: Sequence[LegPlaces], sizes: Array) -> tuple[_After, int]:

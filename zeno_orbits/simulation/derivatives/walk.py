@@ -250,7 +250,7 @@ class Walk:
             return graph.switch_names.index(event.name)
         if not graph.n_declared:
             raise _touched(arc)
-        guards, rounding, _ = graph.guards_in(arc.mode_in(graph), arc.end_state)
+        guards, rounding, _ = graph.guards(arc.mode_in(graph), arc.end_state)
         declared = slice(graph.n_declared)
         return int(np.argmin(np.abs(guards[declared]) / np.maximum(rounding[declared], 1e-300)))
 
