@@ -109,40 +109,24 @@ class HybridLagrangian:
         require_symbols("v", v)
         require_scalar("kinetic", kinetic)
         require_scalar("potential", potential)
-        none = ca.SX.zeros(q.numel())
-        friction = none if passive_force is None else without_calls(ca.vec(passive_force))
-        applied = none if applied_force is None else without_calls(ca.vec(applied_force))
-        eta = ca.SX(0, 1) if holonomic is None else without_calls(ca.vec(holonomic))
+        friction, applied = _column(passive_force, q.numel()), _column(applied_force, q.numel())
+        eta = _column(holonomic, 0)
         # Calls are expanded before derivatives are taken: these would be other calls.
         kinetic, potential = without_calls(kinetic), without_calls(potential)
         gap = None if gap is None else without_calls(gap)
         mass_matrix = ca.hessian(kinetic, v)[0]
         _require_shapes(q, v=v, passive_force=friction, applied_force=applied)
         gaps = _gaps(gap, stops)
-        every_gap = ca.vertcat(ca.SX(0, 1), *gaps)
-        if clock is not None:
-            held = {"kinetic": kinetic, "potential": potential, "holonomic": eta}
-            _require_timeless(clock, **held, gap=every_gap)
-        _require_still(v, gap=every_gap, potential=potential, holonomic=eta)
-        if not all(ca.depends_on(one, q) for one in gaps):
-            raise ValueError(
-                "Argument `gap` must depend on the configuration, but it is constant. Write it "
-                "with `q`."
-            )
+        of_positions = {"gap": ca.vertcat(ca.SX(0, 1), *gaps), "potential": potential}
+        _require_timeless(clock, kinetic=kinetic, **of_positions, holonomic=eta)
+        _require_still(v, **of_positions, holonomic=eta)
+        _require_gaps(gaps, q)
         _require_quadratic(kinetic, v, mass_matrix)
-        momentum = ca.mtimes(mass_matrix, v)
-        bias = (
-            ca.jtimes(momentum, q, v)
-            - ca.gradient(kinetic, q)
-            + ca.gradient(potential, q)
-            - friction
-            - applied
-        )
         return cls(
             q=q,
             v=v,
             mass_matrix=mass_matrix,
-            bias=bias,
+            bias=_bias(q, v, mass_matrix, kinetic, potential, friction, applied),
             gap=gaps[0] if gaps else ABSENT.gap,
             potential=potential,
             passive_force=friction,
@@ -197,15 +181,11 @@ class HybridLagrangian:
         """
         require_symbols("q", q)
         require_symbols("v", v)
-        n_q = q.numel()
         # Calls are expanded before derivatives are taken: these would be other calls.
         mass_matrix, coriolis = without_calls(mass_matrix), without_calls(coriolis)
         gravity = without_calls(gravity)
         potential = None if potential is None else without_calls(potential)
-        for name, matrix in (("mass_matrix", mass_matrix), ("coriolis", coriolis)):
-            if matrix.shape != (n_q, n_q):
-                wanted = f"must be of shape ({n_q}, {n_q})"
-                raise ValueError(f"Argument `{name}` {wanted}, but it is {matrix.shape}.")
+        _require_square(q.numel(), mass_matrix=mass_matrix, coriolis=coriolis)
         _require_still(v, mass_matrix=mass_matrix)
         energy = ca.SX(0) if potential is None else potential
         require_scalar("potential", energy)
@@ -279,6 +259,47 @@ def require_scalar(name: str, formula: ca.SX) -> None:
         raise ValueError(f"Argument `{name}` {wanted}.")
 
 
+def _column(given: ca.SX | None, n: int) -> ca.SX:
+    """Return a column without calls, of ``n`` zeros if it is absent."""
+    return ca.SX.zeros(n) if given is None else without_calls(ca.vec(given))
+
+
+def _bias(
+    q: ca.SX, v: ca.SX, mass: ca.SX, kinetic: ca.SX, potential: ca.SX, *forces: ca.SX
+) -> ca.SX:
+    r"""Return :math:`\partial_q (M v)\,v - \partial_q T + \partial_q U - F`, ``(n_q,)``."""
+    inertial = ca.jtimes(ca.mtimes(mass, v), q, v) - ca.gradient(kinetic, q)
+    bias = inertial + ca.gradient(potential, q)
+    for force in forces:
+        bias -= force
+    return bias
+
+
+def _require_gaps(gaps: Sequence[ca.SX], q: ca.SX) -> None:
+    """Refuse a constant gap.
+
+    Raises:
+        ValueError: If one does not depend on the configuration.
+    """
+    if not all(ca.depends_on(one, q) for one in gaps):
+        raise ValueError(
+            "Argument `gap` must depend on the configuration, but it is constant. Write it with "
+            "`q`."
+        )
+
+
+def _require_square(n_q: int, **matrices: ca.SX) -> None:
+    """Refuse a matrix that does not have a row and a column per coordinate.
+
+    Raises:
+        ValueError: If there is one. The message names it.
+    """
+    for name, matrix in matrices.items():
+        if matrix.shape != (n_q, n_q):
+            wanted = f"must be of shape ({n_q}, {n_q})"
+            raise ValueError(f"Argument `{name}` {wanted}, but it is {matrix.shape}.")
+
+
 def _require_still(v: ca.SX, **expressions: ca.SX) -> None:
     for name, expression in expressions.items():
         if ca.depends_on(expression, v):
@@ -335,10 +356,10 @@ def _require_shapes(q: ca.SX, **vectors: ca.SX) -> None:
             raise ValueError(message)
 
 
-def _require_timeless(clock: Clock | Time, **expressions: ca.SX) -> None:
+def _require_timeless(clock: Clock | Time | None, **expressions: ca.SX) -> None:
     """Reject time dependence of expressions that are derived as time independent."""
     for name, expression in expressions.items():
-        if ca.depends_on(expression, clock.state):
+        if clock is not None and ca.depends_on(expression, clock.state):
             wanted = "must not depend on the clock: use coordinates relative to the moving frame"
             raise ValueError(f"Argument `{name}` {wanted}, and an `applied_force`.")
 

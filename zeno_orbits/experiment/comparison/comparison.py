@@ -272,14 +272,8 @@ def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Compariso
     if missed and (overlay is None or not overlay.holds):
         return replace(begun, overlay=overlay, unresolved=missed, remarks=tuple(remarks))
     if overlay is None:
-        whole = recording.time[-1] - recording.time[0]
-        reason = f"no period is seen in {whole:.4g} s, and the orbit's is {orbit.period:.4g} s: "
-        reason += "record a motion of several periods"
-        rows = [recording.signal(name).values for name in names]
-        if rows and all(np.nanmin(row) == np.nanmax(row) for row in rows):
-            reason = "every signal is constant: check the columns and the instruments"
-        return replace(begun, reasons=(reason,), remarks=tuple(remarks))
-    found, reasons = overlay.found, overlay.reasons()
+        return replace(begun, reasons=(_no_period(begun),), remarks=tuple(remarks))
+    reasons = overlay.reasons()
     if overlay.n_cycles < _TOLD_CYCLES:
         remarks.append(f"only {overlay.n_cycles:.1f} cycles were recorded: errors are rough")
     if not overlay.holds:
@@ -293,15 +287,7 @@ def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Compariso
     if contacts is not None:
         # The gap shows contact.
         against += tuple(one.silence for one in overlay.seen.stops if one.silence)
-    if overlay.halves_differ:
-        remarks.append(
-            f"every other cycle differs by {100 * found.alternation:.2g} % of the signals: halves "
-            f"of the machine, such as legs, are unlike, or its period is doubled"
-        )
-    if found.repeats < 1.0 - _STRAY:
-        remarks.append(
-            f"{100 * (1 - found.repeats):.2g} % of the signals' variance does not repeat"
-        )
+    remarks += _unlike_cycles(overlay)
     deviation = (
         deviations(overlay.table, recording.time, overlay.values, overlay.where) if names else None
     )
@@ -324,6 +310,29 @@ def _compared(orbit: Orbit, problem: Problem, recording: Recording) -> Compariso
             # Values of a mean over the first cycles are those of no orbit.
             doubts.append("the first cycles are farther from the mean than the others are")
     return replace(compared, unresolved=tuple(doubts))
+
+
+def _no_period(compared: Comparison) -> str:
+    """Return why a recording shows no period."""
+    recording = compared.recording
+    rows = [recording.signal(name).values for name in compared.signals]
+    if rows and all(np.nanmin(row) == np.nanmax(row) for row in rows):
+        return "every signal is constant: check the columns and the instruments"
+    whole, period = recording.time[-1] - recording.time[0], compared.orbit.period
+    seen = f"no period is seen in {whole:.4g} s, and the orbit's is {period:.4g} s"
+    return f"{seen}: record a motion of several periods"
+
+
+def _unlike_cycles(overlay: Overlay) -> Iterator[str]:
+    """Yield what differs from cycle to cycle."""
+    found = overlay.found
+    if overlay.halves_differ:
+        yield (
+            f"every other cycle differs by {100 * found.alternation:.2g} % of the signals: halves "
+            f"of the machine, such as legs, are unlike, or its period is doubled"
+        )
+    if found.repeats < 1.0 - _STRAY:
+        yield f"{100 * (1 - found.repeats):.2g} % of the signals' variance does not repeat"
 
 
 def _missed(orbit: Orbit, time: Vector, channels: Mapping[str, Vector]) -> Iterator[str]:

@@ -234,16 +234,7 @@ def fit_parameters(
     on_progress("computing the intervals", 0.97)
     fitted = _fitted(unknowns, sought, answer, unseen)
     others = tuple(dict(zip(labels, unknowns.numbers(one).tolist(), strict=True)) for one in optima)
-    rivals = [
-        "another optimum fits nearly as well: "
-        + ", ".join(f"`{name}` = {value:.6g}" for name, value in one.items())
-        for one in others
-    ]
-    parameters = dict(begin.parameters)
-    for one, readings in zip(fitted, unknowns.readings, strict=True):
-        if not readings:
-            parameters |= dict.fromkeys(one.unknown.names, one.value)
-    at = problem.values(gains=begin.gains, parameters=parameters)
+    at = _values_of(problem, begin, fitted, unknowns)
     n_edges = whole.contacts.n_edges
     return Identification(
         problem=problem.name,
@@ -257,10 +248,30 @@ def fit_parameters(
         misfit=answer.spread.misfit,
         converged=answer.converged,
         optima=others,
-        remarks=(*remarks, *_remarks(fitted, unknowns, answer), *rivals),
+        remarks=(*remarks, *_remarks(fitted, unknowns, answer), *map(_rival, others)),
         edges=n_edges,
         edge_misfit=float(np.sqrt(np.mean(edges**2))) if n_edges else math.nan,
     )
+
+
+def _values_of(
+    problem: Problem,
+    begin: ParameterValues,
+    fitted: Sequence[FittedParameter],
+    unknowns: Unknowns,
+) -> ParameterValues:
+    """Return the parameter values of a machine after a fit, without errors of instruments."""
+    parameters = dict(begin.parameters)
+    for one, readings in zip(fitted, unknowns.readings, strict=True):
+        if not readings:
+            parameters |= dict.fromkeys(one.unknown.names, one.value)
+    return problem.values(gains=begin.gains, parameters=parameters)
+
+
+def _rival(optimum: Mapping[str, float]) -> str:
+    """Return the remark on another optimum."""
+    values = ", ".join(f"`{name}` = {value:.6g}" for name, value in optimum.items())
+    return f"another optimum fits nearly as well: {values}"
 
 
 def fit_transient_parameters(

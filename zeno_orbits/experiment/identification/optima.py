@@ -152,15 +152,22 @@ def global_fit(
                 measure, least = least, measure
             if _is_new(rival, [answer.x, *(one for one, _ in rivals)], answer):
                 rivals.append((rival, measure))
-    try:
-        own = orbits.starting_at(starts[0])
-        before = deviation(own, samples.without_jumps(own.table(starts[0])), starts[0])
-        answer = replace(answer, before=before)
-    except SimulationError:
-        # No orbit is there: the deviation at the start of the fit stands for it.
-        pass
+    answer = _with_deviation_before(answer, orbits, samples, starts[0])
     near = [x for x, measure in rivals if measure < (1.0 + _RIVAL) * least]
     return answer, best_orbits, tuple(x for x in near if _is_new(x, [answer.x], answer))
+
+
+def _with_deviation_before(answer: Fit, orbits: Predictions, samples: Folded, start: Vector) -> Fit:
+    """Return a fit with the deviation at the user's start, if an orbit is there.
+
+    Otherwise the deviation at the start of the fit stands for it.
+    """
+    try:
+        own = orbits.starting_at(start)
+        before = deviation(own, samples.without_jumps(own.table(start)), start)
+    except SimulationError:
+        return answer
+    return replace(answer, before=before)
 
 
 def _beside(x: Vector, unknowns: Unknowns) -> list[Vector]:

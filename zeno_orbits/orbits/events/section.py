@@ -345,6 +345,45 @@ def event_return(
     """
     start = x if mode is None else on_section(graph, x, mode)
     exact = _resolving(settings, completion)
+    execution, end = _run_to_return(graph, start, section, n_returns, guess, exact)
+    last = next(
+        k
+        for k, event in enumerate(execution.events)
+        if orbit_event_name(event) == section and event.time == end
+    )
+    events = tuple(execution.events[: last + 1])
+    if sequence is not None and sequence_as_listed(events, sequence) != tuple(sequence):
+        passed = sequence_of([orbit_event_name(event) for event in events])
+        raise SimulationError(
+            f"The event sequence changes to `{', '.join(passed)}`",
+            time=end,
+            state=tuple(x.tolist()),
+        )
+    if openings is not None and openings_of(events) != tuple(openings):
+        raise SimulationError("Another event opens a stop", time=end, state=tuple(x.tolist()))
+    return EventReturn(
+        start=np.asarray(execution.arcs[0].start_state),
+        end=state_after(events[-1]),
+        period=end,
+        events=events,
+        execution=execution,
+        differentiation=EventDerivatives(graph, parameters, exact.tolerance),
+    )
+
+
+def _run_to_return(
+    graph: GraphDynamics,
+    start: Vector,
+    section: str,
+    n_returns: int,
+    guess: float,
+    exact: SimulationSettings,
+) -> tuple[Execution, float]:
+    """Return an execution that reaches the n-th event of a section, and the time of this event.
+
+    Raises:
+        SimulationError: If the event does not follow within a few times the guess.
+    """
     past = section.removeprefix("switch ")
     try:
         execution = simulate(graph, start, until=_WAIT * guess, settings=exact, past=past)
@@ -365,31 +404,7 @@ def event_return(
             time=execution.end_time,
             state=tuple(execution.end_state.tolist()),
         )
-    end, start = times[n_returns - 1], np.asarray(execution.arcs[0].start_state)
-    names = [orbit_event_name(event) for event in execution.events]
-    last = next(
-        k
-        for k, (event, name) in enumerate(zip(execution.events, names, strict=True))
-        if name == section and event.time == end
-    )
-    events = tuple(execution.events[: last + 1])
-    passed = sequence_of(names[: last + 1])
-    if sequence is not None and sequence_as_listed(events, sequence) != tuple(sequence):
-        raise SimulationError(
-            f"The event sequence changes to `{', '.join(passed)}`",
-            time=end,
-            state=tuple(x.tolist()),
-        )
-    if openings is not None and openings_of(events) != tuple(openings):
-        raise SimulationError("Another event opens a stop", time=end, state=tuple(x.tolist()))
-    return EventReturn(
-        start=start,
-        end=state_after(events[-1]),
-        period=end,
-        events=events,
-        execution=execution,
-        differentiation=EventDerivatives(graph, parameters, exact.tolerance),
-    )
+    return execution, times[n_returns - 1]
 
 
 def released_at_start(execution: Execution, section: str) -> Execution:
@@ -926,16 +941,8 @@ def near_return(
         )
     if sequence is not None:
         return _nearest_of_sequence(execution, graph, names, tuple(sequence))
-    if section is not None and section not in names:
-        kind, _, stop = section.partition(" ")
-        if kind == "zeno" and stop in graph.stop_names:
-            view = graph.view(graph.open_mode, graph.stop_names.index(stop))
-            require_zeno_points(view.restitution, stop)
-        known = ", ".join(sorted(set(names))) or "none"
-        raise InputError(
-            f"Argument `section` must be an event of the motion ({known}), but it is `{section}`."
-        )
     if section is not None:
+        _require_occurs(graph, names, section)
         section = after_setting(graph, section)
     # The transient may have Zeno points that the orbit lacks.
     half = execution.end_time / 2
@@ -951,32 +958,57 @@ def near_return(
     choices = event_sections(settled, graph) if section is None else [section]
     # Early, the best section may only lag behind another.
     for chosen in choices[:1] if within < _NEAR else choices:
-        marks = [
-            event for event, name in zip(execution.events, names, strict=True) if name == chosen
-        ]
-        *earlier, last = marks[-1 - _MOST_RETURNS :]
-        earlier = [one for one in reversed(earlier) if one.time < last.time]
-        states = np.array([state_after(one) for one in earlier]).reshape(-1, len(scale))
-        away = np.max(np.abs(states - state_after(last)) / scale, axis=1)
-        if not np.min(away, initial=np.inf) < within:
-            continue
-        n = int(np.argmax(away <= max(_NEARER * np.min(away), _SETTLED)))
-        if within < _NEAR and away[n] > _THERE:
-            before = states[2 * n + 1 :][:1]
-            if not np.max(np.abs(before - states[n]) / scale, initial=0.0) > away[n]:
-                continue
-        return NearReturn(
-            state=state_after(last),
-            mode=SectionMode.after(execution, chosen, last.time, earlier[n].time),
-            section=chosen,
-            n_returns=n + 1,
-            period=last.time - earlier[n].time,
-        )
+        found = _near_return_to(execution, chosen, scale, within)
+        if found is not None:
+            return found
     raise UnsettledError(
         "The motion does not nearly repeat: simulate for longer (`until`), or start "
         "nearer to an orbit (`start`)",
         time=execution.end_time,
         state=tuple(execution.end_state.tolist()),
+    )
+
+
+def _require_occurs(graph: GraphDynamics, names: Sequence[str], section: str) -> None:
+    """Refuse a section whose event does not occur in a motion.
+
+    Raises:
+        InputError: If it does not, or is a Zeno point of a stop with elastic impacts.
+    """
+    if section in names:
+        return
+    kind, _, stop = section.partition(" ")
+    if kind == "zeno" and stop in graph.stop_names:
+        view = graph.view(graph.open_mode, graph.stop_names.index(stop))
+        require_zeno_points(view.restitution, stop)
+    known = ", ".join(sorted(set(names))) or "none"
+    raise InputError(
+        f"Argument `section` must be an event of the motion ({known}), but it is `{section}`."
+    )
+
+
+def _near_return_to(
+    execution: Execution, section: str, scale: Vector, within: float
+) -> NearReturn | None:
+    """Return the last event of a section with the earlier one that is nearest, if it is near."""
+    marks = [event for event in execution.events if orbit_event_name(event) == section]
+    *earlier, last = marks[-1 - _MOST_RETURNS :]
+    earlier = [one for one in reversed(earlier) if one.time < last.time]
+    states = np.array([state_after(one) for one in earlier]).reshape(-1, len(scale))
+    away = np.max(np.abs(states - state_after(last)) / scale, axis=1)
+    if not np.min(away, initial=np.inf) < within:
+        return None
+    n = int(np.argmax(away <= max(_NEARER * np.min(away), _SETTLED)))
+    if within < _NEAR and away[n] > _THERE:
+        before = states[2 * n + 1 :][:1]
+        if not np.max(np.abs(before - states[n]) / scale, initial=0.0) > away[n]:
+            return None
+    return NearReturn(
+        state=state_after(last),
+        mode=SectionMode.after(execution, section, last.time, earlier[n].time),
+        section=section,
+        n_returns=n + 1,
+        period=last.time - earlier[n].time,
     )
 
 

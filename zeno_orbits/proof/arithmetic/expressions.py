@@ -169,6 +169,26 @@ def _moves(system: CompletedSystem, gaps: Sequence[ca.SX], reset: ca.SX) -> bool
     return any(not ca.is_equal(reset[k], x[k]) for k in columns)
 
 
+def _given(seen: _Seen, x: ca.SX, p: ca.SX) -> ca.Function:
+    """Return the formulas of a problem as a function of states and parameters, resets last."""
+    system = seen.system
+    # The direction of an absent stop is 0 / 0. It has no impact.
+    struck = ca.depends_on(ca.SX(system.gap), x)
+    given = [
+        system.free_flow,
+        system.gap,
+        system.impulse_direction if struck else ca.SX.zeros(x.numel()),
+        system.restitution,
+        system.holonomic,
+        ca.vec(ca.densify(ca.SX(system.mechanism.mass_matrix))),
+        ca.vertcat(*seen.gaps),
+        seen.guards,
+        seen.armed,
+        *seen.resets,
+    ]
+    return ca.Function("given", [x, p], [ca.densify(ca.SX(one)) for one in given], {"cse": True})
+
+
 def proof_expressions(
     problem: Problem,
     carried: Sequence[str] = (),
@@ -194,23 +214,7 @@ def proof_expressions(
     if system.law.of_speed is not None:
         raise SpeedLawError
     x, p = system.state, ca.vertcat(*symbols.values())
-    # The direction of an absent stop is 0 / 0. It has no impact.
-    struck = ca.depends_on(ca.SX(system.gap), x)
-    given = [
-        system.free_flow,
-        system.gap,
-        system.impulse_direction if struck else ca.SX.zeros(x.numel()),
-        system.restitution,
-        system.holonomic,
-        ca.vec(ca.densify(ca.SX(system.mechanism.mass_matrix))),
-        ca.vertcat(*seen.gaps),
-        seen.guards,
-        seen.armed,
-        *seen.resets,
-    ]
-    function = ca.Function(
-        "given", [x, p], [ca.densify(ca.SX(one)) for one in given], {"cse": True}
-    )
+    function = _given(seen, x, p)
     one = ca.SX.sym("one")
     outputs, names, values = _without_constants(function, one * x, one * p)
     over = [symbols[name] for name in carried]

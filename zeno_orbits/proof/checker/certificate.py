@@ -286,9 +286,7 @@ def passage_of(
             require_before(system, first.hull, section.switch, mode)
     except NotProved as failure:
         raise NotProved(f"section: {failure}") from failure
-    back = last.hull[section.others] - box.others
-    for k, x, reach in zip(section.others, back, box.others_spread, strict=True):
-        require(x.size <= reach.r, f"section: state {k} does not return to it")
+    _require_return(section, box, last)
     judge, tasks = partial(_proved, machine, box), list(zip(stations, sets, records, strict=False))
     proved = (
         [one for k in range(0, len(tasks), _CHUNK) for one in judge(tasks[k : k + _CHUNK])]
@@ -325,6 +323,17 @@ def passage_of(
         end=last,
         enclosed={**events, "period": [times], "start_state": [first.whole[: system.n_x]]},
     )
+
+
+def _require_return(section: ContactSection, box: Box, last: Enclosure) -> None:
+    """Prove that the states which the section determines return to the box.
+
+    Raises:
+        NotProved: If one does not.
+    """
+    back = last.hull[section.others] - box.others
+    for k, x, reach in zip(section.others, back, box.others_spread, strict=True):
+        require(x.size <= reach.r, f"section: state {k} does not return to it")
 
 
 def _set(system: System, box: Box, data: Any) -> Enclosure:

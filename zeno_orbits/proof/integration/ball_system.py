@@ -14,7 +14,11 @@ from flint import arb
 from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, Matrix, column, identity, matrix
-from zeno_orbits.proof.arithmetic.expressions import MachineView, proof_expressions
+from zeno_orbits.proof.arithmetic.expressions import (
+    MachineView,
+    ProofExpressions,
+    proof_expressions,
+)
 from zeno_orbits.proof.arithmetic.program import BallProgram
 from zeno_orbits.proof.integration.flow import BallFlow
 
@@ -61,6 +65,19 @@ class ImpactValues:
     slopes: Matrix
     restitution: Ball
     restitution_slopes: list[Ball]
+
+
+def _equations(e: ProofExpressions, section: PeriodStart) -> ca.SX:
+    """Return the formulas that are zero on a section."""
+    equations = {
+        SectionKind.RELEASE: e.constraints,
+        SectionKind.IMPACT: e.struck_constraints,
+        # The pressure is the first of the constraints.
+        SectionKind.SWITCH: e.constraints[1:] if section.locked else e.holonomic,
+    }[section.kind]
+    if section.switch >= 0:
+        equations = ca.vertcat(e.guards[section.switch], equations)
+    return equations
 
 
 class BallSystem:
@@ -139,14 +156,7 @@ class BallSystem:
         self._tail = self._program(e.free, e.direction, e.restitution)
         self._defined = self._program(e.defined)
         self._inertia = self._program(e.inertia)
-        equations = {
-            SectionKind.RELEASE: e.constraints,
-            SectionKind.IMPACT: e.struck_constraints,
-            # The pressure is the first of the constraints.
-            SectionKind.SWITCH: e.constraints[1:] if section.locked else e.holonomic,
-        }[section.kind]
-        if section.switch >= 0:
-            equations = ca.vertcat(e.guards[section.switch], equations)
+        equations = _equations(e, section)
         gradient = ca.jacobian(equations, e.states)
         self.constraints = self._program(equations, gradient)
         self._stops = self._program(e.gaps, ca.densify(ca.jacobian(e.gaps, e.states)))

@@ -163,17 +163,21 @@ def cross(
     if met.kind == "switch" and not locked:
         rows = system.moving_rows
     result = stage.at.mapped(image, derivative, rows, stage.metric)
-    after = stage.departure
-    if met.kind != "switch":
-        after = Departure.RELEASED if locked else Departure.STRUCK
-    elif not locked:
-        after = Departure.FLYING
+    after = _departure_after(met, stage.departure)
     numbers = {"h": step.size, "window": [a, b], "centre": [a_m, b_m]}
     fields = {"meets": list(met)} if system.view else {}
     record = ProofRecord(
         kind="cross", numbers=numbers, orders=step.orders, result=result, fields=fields
     )
     return record, stage.next(result, after, stage.timed(middle, row))
+
+
+def _departure_after(met: Meeting, before: Departure) -> Departure:
+    """Return how motions leave an event: a switch keeps a stop closed."""
+    locked = before is Departure.LOCKED
+    if met.kind == "switch":
+        return before if locked else Departure.FLYING
+    return Departure.RELEASED if locked else Departure.STRUCK
 
 
 def switch_guess(

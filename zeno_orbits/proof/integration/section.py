@@ -89,12 +89,8 @@ def start_on_section(
             coordinates.
     """
     carried = list(range(system.n - len(system.carried), system.n))
-    inputs, n = [*places, *carried], system.n
-    middle = [ZERO if k in system.stopped else on_grid(value) for k, value in enumerate(y)]
-    for _ in range(_NEWTON_STEPS):
-        step = _newton(system, middle, middle, others)
-        for k, change in zip(others, step, strict=True):
-            middle[k] = on_grid(middle[k] - change)
+    inputs = [*places, *carried]
+    middle = _middle_on(system, y, others)
     box = list(middle)
     deviations = [arb(0, radius) for radius in radii]
     for k, change in zip(inputs, deviations, strict=True):
@@ -120,13 +116,7 @@ def start_on_section(
         thin[k] = value
     for k, value in zip(others, found, strict=True):
         box[k] = value
-    derivative = [[ZERO] * len(inputs) for _ in range(n)]
-    for j, k in enumerate(inputs):
-        derivative[k][j] = arb(1)
-    if inputs and others:
-        rows = _section_derivative(system, box, others, inputs).table()
-        for k, row in zip(others, rows, strict=True):
-            derivative[k] = row
+    derivative = _derivative_on(system, box, others, inputs)
     computed = [k for k in system.carried_stops if k not in system.stopped]
     if computed:
         values, slopes = system.stops(thin)[0], system.stops(box)[1]
@@ -134,21 +124,41 @@ def start_on_section(
         for k in computed:
             row = k - system.carried_stops[0]
             thin[k] = values[row]
-            derivative[k] = (matrix([slopes[row]], n) * at).entries()
+            derivative[k] = (matrix([slopes[row]], system.n) * at).entries()
+    wider = MACHINE_WIDER if system.view else NEW_WIDER
+    whole = matrix(derivative, len(inputs))
     return SectionStart(
         places=places,
         others=others,
         centre=[middle[k] for k in places],
         around=around,
         reached=found,
-        at=start_set(
-            thin,
-            matrix(derivative, len(inputs)),
-            deviations,
-            [*others, *computed],
-            MACHINE_WIDER if system.view else NEW_WIDER,
-        ),
+        at=start_set(thin, whole, deviations, [*others, *computed], wider),
     )
+
+
+def _middle_on(system: BallSystem, y: Sequence[Ball], others: list[int]) -> list[Ball]:
+    """Return the point of the grid that is nearest to the section, by Newton's method."""
+    middle = [ZERO if k in system.stopped else on_grid(value) for k, value in enumerate(y)]
+    for _ in range(_NEWTON_STEPS):
+        step = _newton(system, middle, middle, others)
+        for k, change in zip(others, step, strict=True):
+            middle[k] = on_grid(middle[k] - change)
+    return middle
+
+
+def _derivative_on(
+    system: BallSystem, box: list[Ball], others: list[int], inputs: list[int]
+) -> list[list[Ball]]:
+    """Return the derivative of the section's states with respect to its coordinates, by rows."""
+    derivative = [[ZERO] * len(inputs) for _ in range(system.n)]
+    for j, k in enumerate(inputs):
+        derivative[k][j] = arb(1)
+    if inputs and others:
+        rows = _section_derivative(system, box, others, inputs).table()
+        for k, row in zip(others, rows, strict=True):
+            derivative[k] = row
+    return derivative
 
 
 def _around(box: list[Ball], middle: list[Ball], others: list[int]) -> list[Ball]:

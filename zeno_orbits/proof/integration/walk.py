@@ -15,7 +15,7 @@ from flint import arb
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ProofError
-from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, product
+from zeno_orbits.proof.arithmetic.balls import ZERO, Ball, Matrix, product
 from zeno_orbits.proof.arithmetic.recurrences import Series
 from zeno_orbits.proof.integration.ball_system import BallSystem, SectionKind, require_proved
 from zeno_orbits.proof.integration.events import (
@@ -474,16 +474,29 @@ def _move(
             return record, replace(after, stop=stop), met
         if not shortened:
             pace.size = size * max(0.5, min(4.0, 0.9 * excess ** (-1 / (orders[1] + 1))))
-        rows = system.turning_rows(None) if locked else system.moving_rows
-        rate = stage.at.box[system.rate]
-        near = bool(rate.abs_upper() < _NEAR)
-        # After an opening the rate is no longer tiny, and an absent stop has none.
-        near = near and (stage.departure is Departure.RELEASED or not rate.is_zero())
-        result = stage.at.mapped(image, derivative, rows, stage.metric, fine=not locked and near)
-        record = ProofRecord(kind="step", numbers={"h": exact}, orders=orders, result=result)
-        departure = Departure.LOCKED if locked else Departure.FLYING
-        return record, stage.next(result, departure, stage.time.later(exact)), None
+        return (*_stepped(system, stage, exact, orders, image, derivative), None)
     raise ProofError(_CLAIMS[stage.departure], reason)
+
+
+def _stepped(
+    system: BallSystem,
+    stage: ProofStage,
+    size: Ball,
+    orders: tuple[int, int],
+    image: Sequence[Ball],
+    derivative: Matrix,
+) -> tuple[ProofRecord, ProofStage]:
+    """Return the record of a step without an event, and the stage after it."""
+    locked = stage.departure is Departure.LOCKED
+    rows = system.turning_rows(None) if locked else system.moving_rows
+    rate = stage.at.box[system.rate]
+    near = bool(rate.abs_upper() < _NEAR)
+    # After an opening the rate is no longer tiny, and an absent stop has none.
+    near = near and (stage.departure is Departure.RELEASED or not rate.is_zero())
+    result = stage.at.mapped(image, derivative, rows, stage.metric, fine=not locked and near)
+    record = ProofRecord(kind="step", numbers={"h": size}, orders=orders, result=result)
+    departure = Departure.LOCKED if locked else Departure.FLYING
+    return record, stage.next(result, departure, stage.time.later(size))
 
 
 def _aimed(guess: float, size: float) -> float:
