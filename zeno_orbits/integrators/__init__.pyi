@@ -37,6 +37,14 @@ from .flow import flow_eigenvalues as flow_eigenvalues
 from .guard_intervals import JUMPS as JUMPS
 from .guard_intervals import guard_bounds as guard_bounds
 from .guard_intervals import has_bounds as has_bounds
+from .lookups import CellTable as CellTable
+from .lookups import Lookup as Lookup
+from .lookups import Side as Side
+from .lookups import called as called
+from .lookups import called_table as called_table
+from .lookups import lookup_of as lookup_of
+from .lookups import lookups_in as lookups_in
+from .lookups import may_be_merged as may_be_merged
 from .radau import N_STAGES as N_STAGES
 from .radau import Radau as Radau
 from .radau_step import implicit_expressions as implicit_expressions

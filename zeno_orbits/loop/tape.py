@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.lookups import CellTable, Side, called
+from zeno_orbits.integrators import CellTable, Side, called
 
 _OPERATIONS = (
     *("ASSIGN", "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "INV", "SQRT", "SIN", "COS"),

@@ -38,6 +38,8 @@ from .library import load_reference as load_reference
 from .library import locate_problem as locate_problem
 from .library import recorded_problem as recorded_problem
 from .drives.motors import MotorBank as MotorBank
+from .drives.records import Record as Record
+from .drives.records import record as record
 from .numeric.admission import inside_stop as inside_stop
 from .numeric.admission import require_admissible as require_admissible
 from .numeric.admission import require_start as require_start
@@ -85,5 +87,6 @@ from .starts import Start as Start
 from .stops import event_of_setting as event_of_setting
 from .stops import watched as watched
 from .scale import UNIT_SCALES as UNIT_SCALES
+from .expressions.units import in_si as in_si
 from .expressions.units import powers_of as powers_of
 from .expressions.units import unit_quotient as unit_quotient

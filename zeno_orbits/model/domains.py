@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.lookups import Lookup, called
+from zeno_orbits.integrators import Lookup, called
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.expressions.operations import operation_name, symbols_in
 from zeno_orbits.model.hybrid import CompletedSystem

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import casadi as ca
 
-from zeno_orbits.integrators.lookups import lookups_in
+from zeno_orbits.integrators import lookups_in
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.drives.waveforms import TimeOrder
 from zeno_orbits.model.expressions.kinks import branched, is_smooth, sided

@@ -21,6 +21,7 @@ from .files import require_picture as require_picture
 from .files import require_writable as require_writable
 from .files import scratch_folder as scratch_folder
 from .files import write_all as write_all
+from .files import write_pieces as write_pieces
 from .files import utf8 as utf8
 from .files import without_collection as without_collection
 from .files import write_whole as write_whole

@@ -21,7 +21,7 @@ from zeno_orbits.errors import (
     shown,
 )
 from zeno_orbits.experiment.recordings.heads import Head
-from zeno_orbits.model.expressions.units import in_si, powers_of
+from zeno_orbits.model import in_si, powers_of
 from zeno_orbits.work import checked, require_kinds
 
 TIMES = ("time", "t")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from zeno_orbits.errors import CONTROLS, DataFileError
-from zeno_orbits.model.expressions.units import in_si
+from zeno_orbits.model import in_si
 
 _PIECE = 1 << 22
 """Bytes per piece: large enough for an efficient parser, and small compared with the values."""

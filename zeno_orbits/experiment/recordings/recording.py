@@ -34,8 +34,7 @@ from zeno_orbits.errors import (
 from zeno_orbits.experiment.recordings.columns import TIMES, Column, ColumnNotes, columns_of
 from zeno_orbits.experiment.recordings.heads import Head, read_head
 from zeno_orbits.experiment.recordings.table import ColumnTable, read_table
-from zeno_orbits.work import ByValue, checked, require_kinds
-from zeno_orbits.work.files import write_pieces
+from zeno_orbits.work import ByValue, checked, require_kinds, write_pieces
 
 FORMAT = 1
 """Version of the file format that this code writes, and the newest that it reads."""

@@ -8,8 +8,7 @@ import numpy as np
 
 from zeno_orbits.errors import DataFileError, InputError
 from zeno_orbits.experiment.recordings.recording import read_recording
-from zeno_orbits.model.drives.records import Record, record
-from zeno_orbits.model.expressions.units import in_si, powers_of
+from zeno_orbits.model import Record, in_si, powers_of, record
 from zeno_orbits.work import checked
 
 

@@ -22,7 +22,7 @@ from zeno_orbits.experiment.recordings.heads import number_of, opened, pieces_of
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording
 from zeno_orbits.experiment.recordings.table import read_table
 from zeno_orbits.experiment.transients.event_labels import Labels, labelled, sequences_of
-from zeno_orbits.model.expressions.units import in_si
+from zeno_orbits.model import in_si
 from zeno_orbits.simulation import EventKind
 
 _KINDS = {"impact": EventKind.IMPACT, "release": EventKind.RELEASE}

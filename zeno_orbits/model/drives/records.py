@@ -23,7 +23,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, shown
-from zeno_orbits.integrators.lookups import CellTable
+from zeno_orbits.integrators import CellTable
 from zeno_orbits.model.clock import Clock, Time
 from zeno_orbits.model.expressions.tables import horner, numbers_in, table
 from zeno_orbits.work import ByValue, checked

@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.integrators.lookups import Lookup, Side, called, may_be_merged
+from zeno_orbits.integrators import Lookup, Side, called, may_be_merged
 from zeno_orbits.model.expressions.identities import at_random_points, is_told_by_points
 from zeno_orbits.model.expressions.operations import operation_name, symbols_in
 

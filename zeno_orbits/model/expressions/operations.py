@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.integrators.lookups import lookup_of
+from zeno_orbits.integrators import lookup_of
 from zeno_orbits.model.expressions.tables import of_interpolant
 
 _SIGNS = {ca.OP_EQ: "==", ca.OP_NE: "!=", ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_DIV: "/"}

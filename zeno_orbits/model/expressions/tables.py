@@ -20,7 +20,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import shown
-from zeno_orbits.integrators.lookups import CellTable
+from zeno_orbits.integrators import CellTable
 from zeno_orbits.model.expressions.identities import at_random_points, is_told_by_points
 from zeno_orbits.work import checked
 

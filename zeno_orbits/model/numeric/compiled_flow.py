@@ -26,10 +26,10 @@ from zeno_orbits.integrators import (
     guard_bounds,
     has_bounds,
     implicit_expressions,
+    may_be_merged,
     n_factors,
     overflow,
 )
-from zeno_orbits.integrators.lookups import may_be_merged
 from zeno_orbits.model.numeric.calls import Call, StepCall
 from zeno_orbits.model.numeric.casadi_calls import caller
 from zeno_orbits.model.numeric.columns import Columns

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, cast
 import casadi as ca
 
 from zeno_orbits.errors import SpeedLawError, TableProofError, TranslationError
-from zeno_orbits.integrators.lookups import called_table
+from zeno_orbits.integrators import called_table
 from zeno_orbits.model import (
     CharacteristicScales,
     CompletedSystem,

@@ -13,7 +13,7 @@ import casadi as ca
 from flint import arb, arb_series, ctx
 
 from zeno_orbits.errors import TableProofError, TranslationError
-from zeno_orbits.integrators.lookups import called_table
+from zeno_orbits.integrators import called_table
 from zeno_orbits.proof.arithmetic.balls import ONE, ZERO, Ball
 from zeno_orbits.proof.arithmetic.expressions import operation_name
 from zeno_orbits.proof.arithmetic.recurrences import (
