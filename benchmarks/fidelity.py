@@ -32,7 +32,7 @@ from zeno_orbits.precision.reduced_models import (
     QUASI_STATIC,
     errors_of_reduced_models,
     landmark_errors,
-    orbit_near,
+    reduced_orbit_near,
 )
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation.simulator import simulate
@@ -119,7 +119,7 @@ def measure(problem: Problem, inductances: Sequence[float], n_runs: int) -> list
         for name in (QUASI_STATIC, MANIFOLD, CORRECTED, "full"):
             one = models.get(name, problem)
             dynamics = bind(compiled[name], one.shared(values).vector)
-            cycle = orbit_near(one, values, near, orbit.period)
+            cycle = reduced_orbit_near(one, values, near, orbit.period)
             found[name] = (dynamics, cycle)
             near = cycle.start[: len(release)]
         truth = found["full"][1]

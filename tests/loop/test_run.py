@@ -13,7 +13,7 @@ import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.support.one_stop import one_stop_problems
 from zeno_orbits.arrays import Vector
-from zeno_orbits.loop import LoopRun, Record, RunSettings, binding, filled, program_of
+from zeno_orbits.loop import LoopRecord, LoopRun, RunSettings, binding, filled, program_of
 from zeno_orbits.simulation import SimulationTask, run_settings
 
 pytestmark = needs_compiler
@@ -38,14 +38,14 @@ def _begun(task: SimulationTask, settings: list[RunSettings] | None = None) -> L
     return LoopRun(program, filled(settings or run_settings(task)), formulas.values, task.state)
 
 
-def _ended(run: LoopRun, **rows: int) -> Record:
+def _ended(run: LoopRun, **rows: int) -> LoopRecord:
     for _ in range(100_000):
         if run.resume(**rows) == binding.DONE:
             return run.record()
     raise AssertionError("the run does not end")
 
 
-def _require_equal(found: Record, expected: Record, n_x: int) -> None:
+def _require_equal(found: LoopRecord, expected: LoopRecord, n_x: int) -> None:
     # Only flights fill the last two entries of a state, and only implicit steps all of a row.
     assert found.steps.shape == expected.steps.shape
     assert found.steps[:, : 2 + n_x].tolist() == expected.steps[:, : 2 + n_x].tolist()
@@ -128,7 +128,7 @@ def test_threads_do_not_disturb_each_other() -> None:
     tasks = [_task(name, until=1.5) for name in PROBLEMS]
     alone = [_ended(_begun(task)) for task in tasks]
 
-    def again(k: int) -> tuple[int, Record]:
+    def again(k: int) -> tuple[int, LoopRecord]:
         return k, _ended(_begun(tasks[k]), steps=16)
 
     with ThreadPoolExecutor(max_workers=4) as pool:

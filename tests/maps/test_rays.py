@@ -8,28 +8,30 @@ from collections.abc import Callable
 import pytest
 
 from zeno_orbits.maps import Attractor, AttractorClass
-from zeno_orbits.maps.rays import Loss, Ray, Trial
+from zeno_orbits.maps.rays import Loss, Ray, RayTrial
 
 REST = Attractor(fate=AttractorClass.REST)
 
 
-def ray(*lost: tuple[float, float], tried: list[float] | None = None) -> Callable[[float], Trial]:
+def ray(
+    *lost: tuple[float, float], tried: list[float] | None = None
+) -> Callable[[float], RayTrial]:
     """Return trials of a ray with lost intervals, with late returns next to them."""
 
-    def trial(impulse: float) -> Trial:
+    def trial(impulse: float) -> RayTrial:
         if tried is not None:
             tried.append(impulse)
         for low, high in lost:
             if low <= impulse <= high:
-                return Trial(impulse=impulse, beyond=REST, delay=math.inf)
+                return RayTrial(impulse=impulse, beyond=REST, delay=math.inf)
         away = min((abs(impulse - end) for pair in lost for end in pair), default=1.0)
-        return Trial(impulse=impulse, beyond=None, delay=5.0 - math.log(away))
+        return RayTrial(impulse=impulse, beyond=None, delay=5.0 - math.log(away))
 
     return trial
 
 
 def first_loss(
-    tried: Callable[[float], Trial], reach: float, steps: int, error: float
+    tried: Callable[[float], RayTrial], reach: float, steps: int, error: float
 ) -> Loss | None:
     return Ray(tried=tried, period=1.0, error=error).first_loss(reach, steps)
 

@@ -18,7 +18,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model import CompletedSystem, Problem, load_problem
 from zeno_orbits.proof import check_proof
 from zeno_orbits.proof.checker import certificate as judged
-from zeno_orbits.proof.checker.formulas import View, formulas_of_view, joined_digest
+from zeno_orbits.proof.checker.formulas import CheckedView, formulas_of_view, joined_digest
 
 Certificate = dict[str, Any]
 Change = Callable[[Certificate, random.Random, Certificate], Any]
@@ -256,7 +256,7 @@ def test_two_switches_at_the_same_time_are_refused_by_prover_and_checker() -> No
     symbols = twin.symbols()
     graph = twin.model(symbols).graph
     false["problem"] = twin.name
-    false["digest"] = joined_digest([formulas_of_view(graph, symbols, View(0, ())).digest])
+    false["digest"] = joined_digest([formulas_of_view(graph, symbols, CheckedView(0, ())).digest])
     verdict = check_proof(false, twin)
     assert not verdict.ok
     assert "switch 1 may be zero" in verdict.claims[0].evidence

@@ -11,7 +11,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.report.paths import paths_of
+from zeno_orbits.report.paths import drawn_paths
 from zeno_orbits.report.plots import COLUMN_WIDTH, FULL_WIDTH, plot_states
 from zeno_orbits.simulation import Arc, Ending, Execution, Impact, Mode
 
@@ -74,7 +74,7 @@ def run_of(*durations: float, step: float, impacts: int = 0) -> Execution:
 @pytest.mark.parametrize("step", [0.1, 1.0, 4.0])
 @pytest.mark.parametrize("duration", [3.0, 2000.0])
 def test_a_sine_is_drawn_as_a_sine_however_long_and_coarse(duration: float, step: float) -> None:
-    (path,) = paths_of(run_of(duration, step=step))
+    (path,) = drawn_paths(run_of(duration, step=step))
     fine = np.linspace(0.0, duration, 50_000)
     drawn = np.interp(fine, path.times, path.states[:, 0])
     # A chord that was left has its middle within 1e-4 of the range, which is 2, and is a parabola.
@@ -87,7 +87,7 @@ def test_a_sine_is_drawn_as_a_sine_however_long_and_coarse(duration: float, step
 
 
 def test_a_layer_thinner_than_any_step_is_drawn() -> None:
-    (path,) = paths_of(run_of(3.0, step=0.5))
+    (path,) = drawn_paths(run_of(3.0, step=0.5))
     inside = path.times < 0.05
     assert np.count_nonzero(inside) > 10
     fine = np.linspace(0.0, 0.1, 1000)
@@ -96,7 +96,7 @@ def test_a_layer_thinner_than_any_step_is_drawn() -> None:
 
 
 def test_points_stand_where_the_flow_was_at_their_times() -> None:
-    (path,) = paths_of(run_of(7.0, step=1.0))
+    (path,) = drawn_paths(run_of(7.0, step=1.0))
     assert np.all(np.diff(path.times) > 0.0)
     assert path.states[:, 0].tolist() == [math.sin(time) for time in path.times.tolist()]
 

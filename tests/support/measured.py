@@ -7,7 +7,7 @@ import numpy as np
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.simulation import Extent, extent_of, signal, signal_names, simulate
-from zeno_orbits.verification import multipliers_of, start_on_section, verify
+from zeno_orbits.verification import claimed_start, multipliers_of, verify
 
 
 def measured(orbit: Orbit, problem: Problem, name: str) -> Extent:
@@ -15,7 +15,7 @@ def measured(orbit: Orbit, problem: Problem, name: str) -> Extent:
     values = orbit.values(problem)
     if name in signal_names(problem.compiled()):
         graph = problem.graph_dynamics(values)
-        start = start_on_section(orbit, problem, graph)
+        start = claimed_start(orbit, problem, graph)
         run = simulate(graph, np.asarray(start), until=orbit.period, past=orbit.past_switch)
         return extent_of(signal(problem.compiled(), name).at(values.vector), run.arcs)
     if name == "period":

@@ -4,7 +4,7 @@
 an execution through all its events. The plain Python simulator in the room `simulation` is the
 reference. A test compares both, event by event. `source` and `library` find or build the library.
 
-Offers: `program_of` a problem's functions. A `LoopRun` with `RunSettings` returns a `Record`.
+Offers: `program_of` a problem's functions. A `LoopRun` with `RunSettings` returns a `LoopRecord`.
 `loop_account` and `refusals` describe the library in use. `controller_files` of an
 `ExportedController` (`controller_of` a machine) are its held states in C.
 

@@ -6,7 +6,7 @@ from .export import exported_files as exported_files
 from .formulas import machine_source as machine_source
 from .graph_program import GraphFormulas as GraphFormulas
 from .graph_program import GraphProgram as GraphProgram
-from .views import Side as Side
+from .views import SwitchSide as SwitchSide
 from .views import View as View
 from .closing import ClosedRecord as ClosedRecord
 from .closing import Closing as Closing
@@ -30,7 +30,7 @@ from .program import program_or_reason as program_or_reason
 from .program import refusals as refusals
 from .run import Detail as Detail
 from .run import LoopRun as LoopRun
-from .run import Record as Record
+from .run import LoopRecord as LoopRecord
 from .run import RunSettings as RunSettings
 from .run import filled as filled
 from .source import whole_source as whole_source

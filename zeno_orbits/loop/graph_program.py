@@ -17,7 +17,7 @@ from zeno_orbits.loop import binding as c
 from zeno_orbits.loop.formulas import formulas_digest
 from zeno_orbits.loop.program import Program, TapedProblem, fill_tape, scheme
 from zeno_orbits.loop.tape import Tape, tape_of
-from zeno_orbits.loop.views import Side, View
+from zeno_orbits.loop.views import SwitchSide, View
 from zeno_orbits.model import ModeFunctions
 
 
@@ -79,7 +79,7 @@ class GraphProgram(TapedProblem):
         times = formulas.orders.numel_out(0)
         self.orders = tape_of(formulas.orders, parameters=0) if times else Tape.empty()
         self.views: dict[View, Program] = {}
-        self.sides: dict[Side, tuple[Tape, Tape]] = {}
+        self.sides: dict[SwitchSide, tuple[Tape, Tape]] = {}
         self._places: dict[object, int] = {}
         self._n_numbers = 0
         self._kept: list[object] = []
@@ -87,7 +87,7 @@ class GraphProgram(TapedProblem):
             self._place(id(tape), tape.n_registers)
         self._tabulate()
 
-    def add(self, views: Mapping[View, Program], sides: Mapping[Side, ModeFunctions]) -> None:
+    def add(self, views: Mapping[View, Program], sides: Mapping[SwitchSide, ModeFunctions]) -> None:
         """Add views, and guards of switches, to the tables.
 
         Raises:
@@ -111,7 +111,7 @@ class GraphProgram(TapedProblem):
         if len(memory) >= self.size:
             super().give_back(memory)
 
-    def asked_for(self, about: Sequence[int]) -> View | Side:
+    def asked_for(self, about: Sequence[int]) -> View | SwitchSide:
         """Return the view or side that a run asks for.
 
         Args:
@@ -121,7 +121,11 @@ class GraphProgram(TapedProblem):
         n_kinks = self.formulas.n_switches - self.formulas.n_declared
         closed = tuple(k for k in range(self.formulas.n_stops) if mode >> k & 1)
         sides = tuple(bool(mode >> (c.STOPS + k) & 1) for k in range(n_kinks))
-        return Side(closed, sides, index, bool(positive)) if is_side else View(closed, index, sides)
+        return (
+            SwitchSide(closed, sides, index, bool(positive))
+            if is_side
+            else View(closed, index, sides)
+        )
 
     @property
     def library(self) -> Any:
@@ -181,7 +185,7 @@ class GraphProgram(TapedProblem):
         """Numbers of a run, apart from its settings and parameters."""
         return self._n_numbers
 
-    def place_of(self, one: View | Side | Tape) -> int:
+    def place_of(self, one: View | SwitchSide | Tape) -> int:
         """Return the place of numbers in those of a run.
 
         Args:

@@ -111,7 +111,7 @@ def filled(settings: Sequence[RunSettings]) -> Any:
 
 
 @dataclass(slots=True, kw_only=True)
-class Record:
+class LoopRecord:
     """Record of a run, with the columns defined in `loop.h`.
 
     Attributes:
@@ -415,20 +415,20 @@ class LoopRun:
         self._library.zl_copy(self._program.address, self._place, other._place)
         return other
 
-    def taken(self) -> Record:
+    def taken(self) -> LoopRecord:
         """Return the record since the last call, and clear it."""
         record = self.record()
         self._parts.clear()
         return record
 
-    def record(self) -> Record:
+    def record(self) -> LoopRecord:
         """Return everything that was recorded so far and not taken."""
         if len(self._parts) != 1:
             nothing = tuple(np.empty((0, width)) for width in self._widths)
             kinds = zip(nothing, *self._parts, strict=True)
             self._parts = [tuple(np.concatenate(parts) for parts in kinds)]
         steps, polynomials, arcs, events = self._parts[0]
-        return Record(steps=steps, polynomials=polynomials, arcs=arcs, events=events)
+        return LoopRecord(steps=steps, polynomials=polynomials, arcs=arcs, events=events)
 
 
 _spare: WeakKeyDictionary[TapedProblem, dict[tuple[int, ...], list[_Buffers]]] = WeakKeyDictionary()

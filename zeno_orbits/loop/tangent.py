@@ -15,7 +15,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import radau_scheme
 from zeno_orbits.loop import binding as c
 from zeno_orbits.loop.program import Program, fill_tape
-from zeno_orbits.loop.run import Record
+from zeno_orbits.loop.run import LoopRecord
 from zeno_orbits.loop.tape import Tape, UnknownOperationError, tape_of
 from zeno_orbits.model import DerivativeFormulas, LinearFormula
 
@@ -33,7 +33,7 @@ class Track:
         trusted: Largest relative error of an explicit step that is reused for perturbations.
     """
 
-    record: Record
+    record: LoopRecord
     p: Vector
     restitution: float
     by_parameters: Vector

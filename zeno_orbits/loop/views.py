@@ -27,7 +27,7 @@ class View(NamedTuple):
         return c.view_key(_mode_key(self.closed, self.sides), self.stop)
 
 
-class Side(NamedTuple):
+class SwitchSide(NamedTuple):
     """The sign of a switch's guard in a mode.
 
     Attributes:

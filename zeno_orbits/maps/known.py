@@ -14,7 +14,7 @@ from zeno_orbits.maps.approach import Accuracy
 from zeno_orbits.maps.attractors import ORBITS, Attractor
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits import orbit_event_name
-from zeno_orbits.simulation import MotionEnd, scale_of, state_after, watched
+from zeno_orbits.simulation import MotionEnd, scale_of, state_after, watched_motion
 
 _NEAR = 0.01
 """Distance from an orbit, in units of `1 - rho`, below which the return map is nearly linear."""
@@ -135,7 +135,7 @@ def known_orbit(
         return None
     start = np.array([attractor.state[name] for name in graph.state_names])
     period, found = attractor.period, dict[str, list[Vector]]()
-    pieces = watched(graph, start, until=1.05 * period, error=accuracy.orbit, goes_on=True)
+    pieces = watched_motion(graph, start, until=1.05 * period, error=accuracy.orbit, goes_on=True)
     for piece in pieces:
         for event in () if isinstance(piece, MotionEnd) else piece.events:
             if _SOON * period < event.time < (1.0 + _SOON) * period:

@@ -56,7 +56,7 @@ _FALLS, _STEPS = 0.8, 8
 """Largest ratio of successive amplitudes on the way to an equilibrium, and most steps to it."""
 
 
-def extrapolated(last: Vector, before: Vector, earlier: Vector, scale: Vector) -> Vector:
+def limit_of_steps(last: Vector, before: Vector, earlier: Vector, scale: Vector) -> Vector:
     r"""Return the limit of a motion by its last two steps, ``(n_x,)``.
 
     With the steps :math:`u_1`, then :math:`u_0` to the last state :math:`x`, it is

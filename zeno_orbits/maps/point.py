@@ -23,7 +23,7 @@ from zeno_orbits.maps.approach import (
 )
 from zeno_orbits.maps.attractors import Attractor, AttractorClass
 from zeno_orbits.maps.known import KnownOrbit, Recognition
-from zeno_orbits.maps.newton import ClosedOrbit, extrapolated, fades, orbit_near, usual_sections
+from zeno_orbits.maps.newton import ClosedOrbit, fades, limit_of_steps, orbit_near, usual_sections
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits import SectionMode, event_return, kind_of_events, orbit_event_name
 from zeno_orbits.simulation import (
@@ -48,7 +48,7 @@ from zeno_orbits.simulation import (
     state_after,
     transient_settings,
     verdict,
-    watched,
+    watched_motion,
     without_events,
 )
 
@@ -150,7 +150,7 @@ class Point:
 
     def attractor(self) -> Attractor:
         """Simulate the motion and return its attractor."""
-        motion = watched(
+        motion = watched_motion(
             self._graph,
             self._start,
             until=self._until,
@@ -273,7 +273,7 @@ class Point:
         x, mode = now.state, self._mode(now.time)
         if len(visits.returns) > 2 * n:
             earlier = visits.returns[-1 - 2 * n].state
-            x = extrapolated(x, before.state, earlier, self._scale(visits))
+            x = limit_of_steps(x, before.state, earlier, self._scale(visits))
         closed = orbit_near(
             self._graph,
             x,

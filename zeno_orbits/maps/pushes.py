@@ -37,7 +37,7 @@ from zeno_orbits.maps.classify import (
 )
 from zeno_orbits.maps.known import KnownOrbit, returns_to
 from zeno_orbits.maps.plane import OF_BASINS
-from zeno_orbits.maps.rays import UNPUSHED, Loss, Ray, Trial
+from zeno_orbits.maps.rays import UNPUSHED, Loss, Ray, RayTrial
 from zeno_orbits.model import (
     GraphDynamics,
     ParameterValues,
@@ -280,20 +280,20 @@ class _Rays:
 
 def _trials(
     problem: Problem, values: ParameterValues, orbit: KnownOrbit, until: float
-) -> Callable[[Mapping[str, Any], float], Trial]:
+) -> Callable[[Mapping[str, Any], float], RayTrial]:
     """Return the function of a ray and an impulse that simulates the motion after the impulse."""
     graph = problem.graph_dynamics(values)
 
-    def tried(ray: Mapping[str, Any], impulse: float) -> Trial:
+    def tried(ray: Mapping[str, Any], impulse: float) -> RayTrial:
         state, change = np.array(ray["state"]), np.array(ray["change"])
         after = pushed(graph, state, change * impulse, ray["closed"])
         reached, way = approach_from(
             problem, graph, after, until=until, accuracy=OF_BASINS, known=(orbit,)
         )
         if not returns_to(orbit, reached, problem.state_names):
-            return Trial(impulse=impulse, beyond=reached, delay=math.inf)
+            return RayTrial(impulse=impulse, beyond=reached, delay=math.inf)
         delay = 0.0 if way is None else way.times[way.captured]
-        return Trial(impulse=impulse, beyond=None, delay=delay)
+        return RayTrial(impulse=impulse, beyond=None, delay=delay)
 
     return tried
 

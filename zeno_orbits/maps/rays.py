@@ -27,7 +27,7 @@ _PARTS = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
+class RayTrial:
     """The motion after one impulse of a ray.
 
     Attributes:
@@ -56,7 +56,7 @@ class Loss:
     beyond: Attractor
 
 
-UNPUSHED = Trial(impulse=0.0, beyond=None, delay=0.0)
+UNPUSHED = RayTrial(impulse=0.0, beyond=None, delay=0.0)
 """The orbit itself."""
 
 
@@ -70,7 +70,7 @@ class Ray:
         error: Largest relative error of a located impulse.
     """
 
-    tried: Callable[[float], Trial]
+    tried: Callable[[float], RayTrial]
     period: float
     error: float
 
@@ -90,7 +90,7 @@ class Ray:
         hidden = self._hidden_loss(scan)
         return None if hidden is None else self.located(*hidden)
 
-    def located(self, returns: Sequence[Trial], lost: Trial) -> Loss:
+    def located(self, returns: Sequence[RayTrial], lost: RayTrial) -> Loss:
         """Locate the smallest impulse with a loss between returns and above them.
 
         Args:
@@ -119,7 +119,7 @@ class Ray:
                     break
                 returns.append(trial)
 
-    def _hidden_loss(self, scan: Sequence[Trial]) -> tuple[list[Trial], Trial] | None:
+    def _hidden_loss(self, scan: Sequence[RayTrial]) -> tuple[list[RayTrial], RayTrial] | None:
         """Return a loss between the returns of a scan, with the returns below it."""
         for place in range(1, len(scan)):
             before, here, *after = scan[place - 1 : place + 2]
@@ -140,7 +140,7 @@ class Ray:
         return None
 
 
-def _around_latest(trials: Sequence[Trial]) -> list[Trial]:
+def _around_latest(trials: Sequence[RayTrial]) -> list[RayTrial]:
     """Return the trial inside with the latest return, and its neighbours."""
     top = max(range(1, len(trials) - 1), key=lambda k: trials[k].delay)
     return list(trials[top - 1 : top + 2])

@@ -348,7 +348,7 @@ def _line_in_trace(error: BaseException, file: Path) -> int | None:
     return _line_in_trace(error.__cause__, file)
 
 
-def place_of(error: BaseException, function: Callable[..., Any]) -> str:
+def place_in_file(error: BaseException, function: Callable[..., Any]) -> str:
     """Return the file and the line of a function that raised an error, for a message, or nothing.
 
     Args:

@@ -25,7 +25,7 @@ from zeno_orbits.model.drawing import DrawingFunction, lines_of
 from zeno_orbits.model.expressions.formula_units import unit_of
 from zeno_orbits.model.expressions.units import energy_unit, require_coherent
 from zeno_orbits.model.hybrid import CompletedSystem
-from zeno_orbits.model.mistakes import place_of
+from zeno_orbits.model.mistakes import place_in_file
 from zeno_orbits.model.modes import ModeGraph
 from zeno_orbits.model.origin import Declared, Origin
 from zeno_orbits.model.quantities import (
@@ -603,7 +603,7 @@ class Problem(Declared):
             raise
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(".")
-            told = f"`derive` raises {reason}{place_of(error, self.derive)}"
+            told = f"`derive` raises {reason}{place_in_file(error, self.derive)}"
             raise InputError(f"Argument `parameters` {wanted} ({told}).") from error
 
     def symbols(self) -> dict[str, ca.SX]:

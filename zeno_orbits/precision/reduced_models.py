@@ -108,9 +108,9 @@ def errors_of_reduced_models(
     period = orbit.period
     release = np.array(quasi_static.state_vector(orbit.release_state))
     machine, full = _dynamics(quasi_static, values), _dynamics(problem, values)
-    static = orbit_near(quasi_static, values, release, period)
-    better = orbit_near(reduced[CORRECTED], values, static.start, period)
-    truth = orbit_near(problem, values, better.start, period) if measure else None
+    static = reduced_orbit_near(quasi_static, values, release, period)
+    better = reduced_orbit_near(reduced[CORRECTED], values, static.start, period)
+    truth = reduced_orbit_near(problem, values, better.start, period) if measure else None
     layer, rate = layer_time(full, release), _rate(machine, static)
     first = landmark_errors(static, better)
     second = {name: error * layer * rate for name, error in first.items()}
@@ -131,7 +131,7 @@ def errors_of_reduced_models(
     }
 
 
-def orbit_near(
+def reduced_orbit_near(
     problem: Problem, values: ParameterValues, release: Vector, period: float
 ) -> EventReturn:
     """Return the periodic orbit of a problem near a release state of another fidelity.

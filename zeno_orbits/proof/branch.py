@@ -22,12 +22,12 @@ from zeno_orbits.errors import InputError, ProofError
 from zeno_orbits.model import Problem, ProblemFile
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof.branch_ranges import (
-    BranchPoint,
     BranchSettings,
     BranchTask,
-    Range,
+    ProofRange,
+    RangePoint,
     plain_range,
-    read_range,
+    read_proof_range,
 )
 from zeno_orbits.proof.branch_theorem import BranchEnd, BranchEstimate, BranchProof, ProvedRange
 from zeno_orbits.proof.integration.orbit_walk import ProofStart, proof_start, require_fit
@@ -174,14 +174,14 @@ class _Branch:
 
     def proved(
         self, on_estimate: Callable[[BranchEstimate], object] | None
-    ) -> tuple[list[Range], tuple[BranchEnd, BranchEnd]]:
+    ) -> tuple[list[ProofRange], tuple[BranchEnd, BranchEnd]]:
         """Return the connected ranges around the orbit, and why they end."""
         start = self._start()
         length, seconds = self._first_ranges(start)
         count = (self.box[1] - self.box[0]) / length
         if on_estimate is not None:
             on_estimate(BranchEstimate(ranges=max(1, round(count)), seconds=seconds * count))
-        traces, reasons = list[list[BranchPoint]](), list[str]()
+        traces, reasons = list[list[RangePoint]](), list[str]()
         tell = portion(self.on_progress, 0.0, _TRACED)
         longest = (self.box[1] - self.box[0]) / min(
             self.task.settings.parts, max(1, count / _LEAST_RANGES)
@@ -199,11 +199,11 @@ class _Branch:
         up, high_end = _chained(found[n_low:], start, self.box[1], reasons[1])
         return _connected([*reversed(down), *up], len(down), (low_end, high_end))
 
-    def _start(self) -> BranchPoint:
+    def _start(self) -> RangePoint:
         """Return the branch at the orbit of the file."""
         orbit, problem = self.task.given.orbit, self.task.problem
         state = tuple(orbit.start_state[name] for name in problem.state_names)
-        known = BranchPoint(
+        known = RangePoint(
             value=self.own, state=state, slope=(0.0,) * len(state), period=orbit.period
         )
         found = self.task.point(self.own, known)
@@ -214,8 +214,8 @@ class _Branch:
         return found
 
     def _traced(
-        self, start: BranchPoint, end: float, longest: float, tell: Progress
-    ) -> tuple[list[BranchPoint], str]:
+        self, start: RangePoint, end: float, longest: float, tell: Progress
+    ) -> tuple[list[RangePoint], str]:
         """Return points of the branch up to an end of the interval, or to the last point."""
         step = math.copysign(longest, end - start.value)
         points, reason, name = [start], "", self.task.name
@@ -234,7 +234,7 @@ class _Branch:
                     break
         return points, reason
 
-    def _first_ranges(self, start: BranchPoint) -> tuple[float, float]:
+    def _first_ranges(self, start: RangePoint) -> tuple[float, float]:
         """Return the length of ranges near the orbit, and the time of one [s]."""
         end = self.box[1] if self.own < self.box[1] else self.box[0]
         began, length, count = clock.process_time(), 0.0, 0
@@ -247,7 +247,7 @@ class _Branch:
                 break
         return length, (clock.process_time() - began) / count
 
-    def _covered(self, parts: Sequence[Mapping[str, Any]]) -> list[tuple[list[Range], str]]:
+    def _covered(self, parts: Sequence[Mapping[str, Any]]) -> list[tuple[list[ProofRange], str]]:
         """Return the ranges of each part, and why they end before the part."""
         tell, task = portion(self.on_progress, _TRACED, 1.0), self.task
         file = task.problem.file
@@ -275,7 +275,7 @@ class _Branch:
         return [
             ([], "each worker of the part was terminated")
             if isinstance(one, FailedPoint)
-            else ([read_range(range_) for range_ in one[0]], one[1])
+            else ([read_proof_range(range_) for range_ in one[0]], one[1])
             for one in found
         ]
 
@@ -305,7 +305,7 @@ class _Part:
         )
         found = list[Any]()
         for part in parts:
-            start, end, ranges, reason = BranchPoint(**part["from"]), part["to"], list[Any](), ""
+            start, end, ranges, reason = RangePoint(**part["from"]), part["to"], list[Any](), ""
             with ctx.workprec(task.settings.bits):
                 for one in _ranges(task, start, end, part["length"]):
                     if isinstance(one, str):
@@ -319,8 +319,8 @@ class _Part:
 
 
 def _ranges(
-    task: BranchTask, start: BranchPoint, end: float, length: float
-) -> Iterator[Range | str]:
+    task: BranchTask, start: RangePoint, end: float, length: float
+) -> Iterator[ProofRange | str]:
     """Yield ranges from a point of a branch to a value, then the reason if they end early."""
     sign, edge, known = math.copysign(1.0, end - start.value), start.value, start
     growth = _GROWTHS[0]
@@ -346,10 +346,10 @@ def _because(error: ProofError) -> str:
 
 
 def _chained(
-    parts: Sequence[tuple[list[Range], str]], start: BranchPoint, end: float, reason: str
-) -> tuple[list[Range], BranchEnd]:
+    parts: Sequence[tuple[list[ProofRange], str]], start: RangePoint, end: float, reason: str
+) -> tuple[list[ProofRange], BranchEnd]:
     """Return the ranges from an orbit outwards up to the first failure, and where they end."""
-    ranges = list[Range]()
+    ranges = list[ProofRange]()
     for found, stopped in parts:
         ranges += found
         if stopped:
@@ -362,8 +362,8 @@ def _chained(
 
 
 def _connected(
-    ranges: list[Range], junction: int, ends: tuple[BranchEnd, BranchEnd]
-) -> tuple[list[Range], tuple[BranchEnd, BranchEnd]]:
+    ranges: list[ProofRange], junction: int, ends: tuple[BranchEnd, BranchEnd]
+) -> tuple[list[ProofRange], tuple[BranchEnd, BranchEnd]]:
     """Return the ranges that are connected with the orbit, which lies between two of them.
 
     Args:
@@ -391,7 +391,7 @@ def _connected(
     return ranges[first : last + 1], (low_end, high_end)
 
 
-def _certificate(name: str, ranges: Sequence[Range]) -> dict[str, Any]:
+def _certificate(name: str, ranges: Sequence[ProofRange]) -> dict[str, Any]:
     """Return the certificate of a branch. All ranges share its first entries."""
     common = dict(ranges[0].common)
     bits = max(one.common["bits"] for one in ranges)
@@ -403,7 +403,7 @@ def _certificate(name: str, ranges: Sequence[Range]) -> dict[str, Any]:
     }
 
 
-def _told(one: Range) -> ProvedRange:
+def _told(one: ProofRange) -> ProvedRange:
     return ProvedRange(
         low=one.low,
         high=one.high,

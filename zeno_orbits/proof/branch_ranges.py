@@ -67,7 +67,7 @@ class BranchSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BranchPoint:
+class RangePoint:
     """A point of a branch, in doubles.
 
     Attributes:
@@ -88,7 +88,7 @@ class BranchPoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Range:
+class ProofRange:
     """A proved range.
 
     Attributes:
@@ -105,14 +105,14 @@ class Range:
 
     low: Fraction
     high: Fraction
-    middle: BranchPoint
+    middle: RangePoint
     data: dict[str, Any]
     common: dict[str, Any]
     stability: int
     ends: tuple[list[tuple[Fraction, Fraction]], list[tuple[Fraction, Fraction]]]
     box: dict[int, tuple[Fraction, Fraction]]
 
-    def meets(self, other: Range) -> str:
+    def meets(self, other: ProofRange) -> str:
         """Return why this range and the next one are not shown to hold the same orbit.
 
         Args:
@@ -166,7 +166,7 @@ class BranchTask:
         (gains if self.name in gains else parameters)[self.name] = value
         return self.problem.values(gains=gains, parameters=parameters)
 
-    def point(self, value: float, known: BranchPoint) -> BranchPoint:
+    def point(self, value: float, known: RangePoint) -> RangePoint:
         """Return the branch at a value, by Newton's method from a known point.
 
         Raises:
@@ -174,7 +174,7 @@ class BranchTask:
         """
         return self._judged(value, 0.0, known)[1]
 
-    def proved(self, low: float, high: float, known: BranchPoint) -> Range:
+    def proved(self, low: float, high: float, known: RangePoint) -> ProofRange:
         """Return the range between two values, with proof.
 
         Args:
@@ -196,7 +196,7 @@ class BranchTask:
         texts = written["parameters"][self.name], written["over"][self.name]
         stable = bool(start.places) and (judged.discs.stable or judged.returned.included)
         stable = stable or not start.places
-        return Range(
+        return ProofRange(
             low=Fraction(value) - Fraction(radius),
             high=Fraction(value) + Fraction(radius),
             middle=middle,
@@ -217,8 +217,8 @@ class BranchTask:
         )
 
     def _judged(
-        self, value: float, radius: float, known: BranchPoint
-    ) -> tuple[JudgedBox, BranchPoint, tuple[ParameterValues, Any, BallSystem]]:
+        self, value: float, radius: float, known: RangePoint
+    ) -> tuple[JudgedBox, RangePoint, tuple[ParameterValues, Any, BallSystem]]:
         """Return a box with one fixed point for all values of a range, and its middle."""
         problem, given = self.problem, self.given
         values, moved = self.values(value), value - known.value
@@ -256,7 +256,7 @@ class BranchTask:
         y: Sequence[float],
         places: Sequence[int],
         radius: float,
-        known: BranchPoint,
+        known: RangePoint,
     ) -> list[float]:
         """Return the radii of the first box over a range, in the prover's units."""
         sizes = [max(abs(y[k]), LEAST_SIZE) for k in places]
@@ -270,7 +270,7 @@ class BranchTask:
         return [min(a, _WIDEST * size) for a, size in zip(sides, sizes, strict=True)]
 
 
-def _shared(one: Range) -> tuple[Any, ...]:
+def _shared(one: ProofRange) -> tuple[Any, ...]:
     """Return the entries that must agree for ranges of one return map."""
     records = one.data["pass"]["records"]
     names = ("digest", "section", "machine", "gap_row")
@@ -280,7 +280,7 @@ def _shared(one: Range) -> tuple[Any, ...]:
     return (*(one.common.get(name) for name in names), counted, releases)
 
 
-def plain_range(one: Range) -> dict[str, Any]:
+def plain_range(one: ProofRange) -> dict[str, Any]:
     """Return a range as plain data."""
     ends = [[[str(x) for x in pair] for pair in side] for side in one.ends]
     box = {str(k): [str(x) for x in pair] for k, pair in one.box.items()}
@@ -296,7 +296,7 @@ def plain_range(one: Range) -> dict[str, Any]:
     }
 
 
-def read_range(data: Mapping[str, Any]) -> Range:
+def read_proof_range(data: Mapping[str, Any]) -> ProofRange:
     """Return a range from plain data."""
 
     def pair(texts: Sequence[str]) -> tuple[Fraction, Fraction]:
@@ -304,10 +304,10 @@ def read_range(data: Mapping[str, Any]) -> Range:
         return low, high
 
     low, high = ([pair(texts) for texts in side] for side in data["ends"])
-    return Range(
+    return ProofRange(
         low=Fraction(data["low"]),
         high=Fraction(data["high"]),
-        middle=BranchPoint(**data["middle"]),
+        middle=RangePoint(**data["middle"]),
         data=data["data"],
         common=data["common"],
         stability=data["stability"],
@@ -389,7 +389,7 @@ def _box(system: BallSystem, start: SectionStart) -> dict[int, tuple[Fraction, F
 
 def _middle(
     problem: Problem, system: BallSystem, judged: JudgedBox, value: float, radius: float
-) -> BranchPoint:
+) -> RangePoint:
     """Return the branch at the middle of a range, with its derivative, in doubles."""
     start, d = judged.start.at, len(judged.start.places)
     n, unit = len(problem.state_names), system.units[-1]
@@ -409,7 +409,7 @@ def _middle(
     reach = dict(zip(judged.start.places, spread, strict=True))
     own = own_state(system, [arb(float(x)) for x in state])
     signs = own_state(system, [arb(float(x)) for x in state + slope])
-    return BranchPoint(
+    return RangePoint(
         value=value,
         state=tuple(float(x.mid()) for x in own[:n]),
         slope=tuple(float((b - a).mid()) / unit for a, b in zip(own[:n], signs[:n], strict=True)),

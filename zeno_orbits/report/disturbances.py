@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from zeno_orbits.errors import counted
 from zeno_orbits.report.push_panels import push_panels
 from zeno_orbits.report.symbols import direction_symbol
-from zeno_orbits.report.table import Column, number_column, text_column
+from zeno_orbits.report.table import TableColumn, number_column, text_column
 from zeno_orbits.work import decimal_below
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def summary_line(found: Pushes) -> str:
     )
 
 
-PUSHES: list[Column[Push]] = [
+PUSHES: list[TableColumn[Push]] = [
     number_column("phase [1]", lambda push: f"{push.phase:.4f}"),
     text_column("mode", lambda push: push.mode),
     text_column("direction", lambda push: push.name),
@@ -111,7 +111,7 @@ def extents_of(found: Recovery) -> list[tuple[str, float]]:
     return [(name, extent) for name, extent in found.extents.items() if 0.0 < extent < math.inf]
 
 
-def extent_columns(found: Recovery) -> list[Column[tuple[str, float]]]:
+def extent_columns(found: Recovery) -> list[TableColumn[tuple[str, float]]]:
     """Return the columns of a table of extents."""
     return [
         text_column("state", lambda row: row[0]),

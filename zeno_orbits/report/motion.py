@@ -12,7 +12,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model import GraphDynamics, HybridDynamics, ParameterValues, Problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.simulation import Execution, Mode, simulate, state_after, state_before
-from zeno_orbits.verification import start_on_section
+from zeno_orbits.verification import claimed_start
 
 _LONGER = 1e-6
 """Part of the duration to follow a motion longer, so that rounding cuts off no release."""
@@ -44,7 +44,7 @@ def orbit_motion(
         SimulationError: If the execution cannot be continued: a false orbit may run anywhere.
     """
     # The verifier rejects an initial state off the section, but the simulator must accept it.
-    start = start_on_section(orbit, problem, dynamics)
+    start = claimed_start(orbit, problem, dynamics)
     until = periods * orbit.period * (1 + _LONGER)
     return simulate(dynamics, start, until=until, past=orbit.past_switch)
 

@@ -53,7 +53,7 @@ class DrawnPhase:
     end: float
 
 
-def paths_of(execution: Execution, *, least: int = 8) -> list[ArcPath]:
+def drawn_paths(execution: Execution, *, least: int = 8) -> list[ArcPath]:
     """Return every arc as a curve. Tails too short to be visible are omitted.
 
     Args:

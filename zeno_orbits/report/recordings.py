@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from zeno_orbits.report.table import (
-    Column,
+    TableColumn,
     number_column,
     prefixed,
     shown_number,
@@ -76,7 +76,7 @@ def seven(value: float) -> str:
     return shown_number(value, 7) if abs(value) > _ROUNDING else "0"
 
 
-def comparison_columns(found: Comparison) -> list[Column[Metric]]:
+def comparison_columns(found: Comparison) -> list[TableColumn[Metric]]:
     """Return the columns of the quantities of a recording next to the orbit's.
 
     Args:

@@ -18,7 +18,7 @@ Cell = str | bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Column(Generic[Item]):
+class TableColumn(Generic[Item]):
     """A column of a table.
 
     Attributes:
@@ -47,7 +47,7 @@ class Table(Generic[Item]):
     """
 
     caption: str
-    columns: tuple[Column[Item], ...]
+    columns: tuple[TableColumn[Item], ...]
     rows: tuple[tuple[Cell, ...], ...]
     is_titled: bool = False
 
@@ -149,22 +149,24 @@ _NOTHING = 1e-9
 """A multiplier above this value is printed even if its uncertainty is large."""
 
 
-def text_column(heading: str, cell: Callable[[Item], Cell]) -> Column[Item]:
+def text_column(heading: str, cell: Callable[[Item], Cell]) -> TableColumn[Item]:
     """Return a column of text."""
-    return Column(heading=heading, cell=cell)
+    return TableColumn(heading=heading, cell=cell)
 
 
-def number_column(heading: str, cell: Callable[[Item], str]) -> Column[Item]:
+def number_column(heading: str, cell: Callable[[Item], str]) -> TableColumn[Item]:
     """Return a column of values."""
-    return Column(heading=heading, cell=cell, is_number=True)
+    return TableColumn(heading=heading, cell=cell, is_number=True)
 
 
-def name_column(heading: str, cell: Callable[[Item], str]) -> Column[Item]:
+def name_column(heading: str, cell: Callable[[Item], str]) -> TableColumn[Item]:
     """Return a column of names that a reader may type: they are never cut."""
-    return Column(heading=heading, cell=cell, is_whole=True)
+    return TableColumn(heading=heading, cell=cell, is_whole=True)
 
 
-def table_of(caption: str, columns: Sequence[Column[Item]], items: Iterable[Item]) -> Table[Item]:
+def table_of(
+    caption: str, columns: Sequence[TableColumn[Item]], items: Iterable[Item]
+) -> Table[Item]:
     """Return a table with one row per item.
 
     Args:
@@ -180,7 +182,7 @@ def _limit(value: object) -> str:
     return f"{value:.8g}" if isinstance(value, int | float) else "-"
 
 
-BOUNDS: list[Column[Mapping[str, Any]]] = [
+BOUNDS: list[TableColumn[Mapping[str, Any]]] = [
     text_column("to be kept", lambda one: str(one.get("quantity", ""))),
     number_column("from", lambda one: _limit(one.get("lower"))),
     number_column("to", lambda one: _limit(one.get("upper"))),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import groupby
 
 from zeno_orbits.precision import SAME_WORK, TimedSetting, WorkPrecision
-from zeno_orbits.report.table import Column, number_column, shown_size, text_column
+from zeno_orbits.report.table import TableColumn, number_column, shown_size, text_column
 
 LEAST_ERROR = 2.0**-53
 """Rounding of a number: errors below it are drawn at it, as their axis is logarithmic."""
@@ -60,7 +60,7 @@ _ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 Cheapest = tuple[float, TimedSetting | None]
 """An accuracy, and the cheapest trial that reaches it, if one does."""
 
-CHEAPEST: list[Column[Cheapest]] = [
+CHEAPEST: list[TableColumn[Cheapest]] = [
     number_column("accuracy [1]", lambda one: f"{one[0]:.0e}"),
     text_column("cheapest setting", lambda one: _setting(one[1])),
     number_column("time [ms]", lambda one: f"{1e3 * one[1].seconds:.2f}" if one[1] else ""),

@@ -1,6 +1,6 @@
 """Completed executions through impacts and Zeno points, single or in parallel, and attractors.
 
-`simulate` computes a motion with dense output. `watched` follows a motion until it settles.
+`simulate` computes a motion with dense output. `watched_motion` follows a motion until it settles.
 `EventDerivatives` has the exact derivatives of events. `attractor` defines the attractors of
 motions.
 

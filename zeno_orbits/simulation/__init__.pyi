@@ -84,4 +84,4 @@ from .watch import Reason as Reason
 from .watch import clock_turn as clock_turn
 from .watch import steady_turn as steady_turn
 from .watch import transient_settings as transient_settings
-from .watch import watched as watched
+from .watch import watched_motion as watched_motion

@@ -48,7 +48,7 @@ class Ending(Enum):
     HORIZON = "end of the simulation"
 
 
-def named(names: Sequence[str], stops: Iterable[int]) -> tuple[str, ...]:
+def closed_names(names: Sequence[str], stops: Iterable[int]) -> tuple[str, ...]:
     """Return the names of stops. A stop without a name is the only stop.
 
     Args:

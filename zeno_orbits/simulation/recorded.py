@@ -21,7 +21,7 @@ from zeno_orbits.integrators import (
     Trajectory,
     radau_scheme,
 )
-from zeno_orbits.loop import Record, TapedProblem, View, binding, program_of
+from zeno_orbits.loop import LoopRecord, TapedProblem, View, binding, program_of
 from zeno_orbits.model import (
     CharacteristicScales,
     CompiledFlow,
@@ -29,7 +29,7 @@ from zeno_orbits.model import (
     HybridDynamics,
 )
 from zeno_orbits.simulation.events import Event, EventKind, Impact, Release, SwitchEvent, ZenoPoint
-from zeno_orbits.simulation.execution import Arc, Ending, Execution, Mode, named
+from zeno_orbits.simulation.execution import Arc, Ending, Execution, Mode, closed_names
 
 _ENDINGS = {kind.number: Ending(kind.label) for kind in EventKind}
 _ENDINGS[binding.HORIZON] = Ending.HORIZON
@@ -85,7 +85,7 @@ class RecordedRun:
     graph: GraphDynamics
     views: Sequence[View]
     tolerance: Tolerance
-    record: Record
+    record: LoopRecord
     paths: Mapping[float, tuple[Step, ...]]
 
     @property
@@ -161,7 +161,7 @@ class RecordedRun:
             impact_index=index,
             time_unit=unit,
             trajectory=way,
-            closed=named(names, closed),
+            closed=closed_names(names, closed),
             stop=names[view.stop] if mode == binding.FLIGHT else "",
             sides=view.sides,
         )
@@ -373,7 +373,7 @@ class LoopTrajectory:
         """State at each of these times, ``(m, n_y)``."""
         return np.concatenate([[self._begin], self._rows[:-1, 2:], [self.end]])
 
-    def record(self, mode: int, unit: float, n_x: int) -> Record:
+    def record(self, mode: int, unit: float, n_x: int) -> LoopRecord:
         """Return the record of an arc with these steps.
 
         Args:
@@ -392,7 +392,7 @@ class LoopTrajectory:
         arc[0, : binding.ARC_WIDTH] = numbers
         arc[0, binding.ARC_WIDTH :][:n_x] = self._begin[:n_x]
         events = np.zeros((0, binding.EVENT_WIDTH + 2 * n_x))
-        return Record(steps=steps, polynomials=polynomials, arcs=arc, events=events)
+        return LoopRecord(steps=steps, polynomials=polynomials, arcs=arc, events=events)
 
     def state_at(self, offset: float) -> Vector:
         """Return the state at a time from the start."""

@@ -51,7 +51,7 @@ from zeno_orbits.simulation.accumulations import Accumulations
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart, launched
 from zeno_orbits.simulation.event_rules import ROUNDING, stop_holds
 from zeno_orbits.simulation.events import EventKind, Impact, Release, SwitchEvent, ZenoPoint
-from zeno_orbits.simulation.execution import Arc, Ending, Execution, Mode, named
+from zeno_orbits.simulation.execution import Arc, Ending, Execution, Mode, closed_names
 from zeno_orbits.simulation.interruptions import (
     accumulate_together,
     armed_at_start,
@@ -866,7 +866,7 @@ class ReferenceRun(StopRun):
     def _named(self, arc: Arc, closed: tuple[int, ...], stop: str = "") -> Arc:
         """Return an arc with its mode, and with the stop of a rescaled flight."""
         mode = Mode.LOCKED if closed else Mode.FREE
-        names = named(self.graph.stop_names, closed)
+        names = closed_names(self.graph.stop_names, closed)
         return replace(arc, closed=names, mode=mode, stop=stop, sides=self.sides)
 
     def _take_sides(self, x: Vector) -> None:

@@ -16,7 +16,7 @@ from zeno_orbits.model import GraphDynamics, HybridDynamics, own_time
 from zeno_orbits.simulation.attractor import AttractorKind, scale_of
 from zeno_orbits.simulation.events import Event, Impact, SwitchEvent
 from zeno_orbits.simulation.lyapunov import Exponent, largest_exponent, states_at_turns
-from zeno_orbits.simulation.watch import MotionEnd, clock_turn, transient_settings, watched
+from zeno_orbits.simulation.watch import MotionEnd, clock_turn, transient_settings, watched_motion
 
 _KEPT = 512
 """Number of stored impacts and switches. A period of up to half of them is found."""
@@ -238,7 +238,7 @@ def _later(
     if needed > time:
         return None
     after = MotionLog(units=log.units, usual=log.usual, elastic=log.elastic)
-    for piece in watched(graph, state, until=needed, error=_ERROR, goes_on=True):
+    for piece in watched_motion(graph, state, until=needed, error=_ERROR, goes_on=True):
         state = piece.state
         for event in () if isinstance(piece, MotionEnd) else piece.events:
             after.add(event)

@@ -85,7 +85,7 @@ def transient_settings(error: float, far: tuple[float, ...] = ()) -> SimulationS
     )
 
 
-def watched(
+def watched_motion(
     graph: GraphDynamics,
     state: Vector,
     *,

@@ -7,7 +7,7 @@ orbit. The modules in the order of execution are `claim` (the orbit as vectors),
 model), `margins`, `multipliers` and `certificate`. `verifier` combines them.
 
 Offers: `verify`, `multipliers_of`, `VerificationSettings`, `OrbitCertificate`, `CHECKS`,
-`RESIDUALS`, `with_certificate`; `start_on_section`; `EVENT_MARGINS`, `measured_margin`.
+`RESIDUALS`, `with_certificate`; `claimed_start`; `EVENT_MARGINS`, `measured_margin`.
 
 Imports: orbits, simulation, model, integrators, work, arrays, errors. Never search,
 continuation, maps, experiment or precision.

@@ -2,7 +2,7 @@ from .certificate import CHECKS as CHECKS
 from .certificate import DeltaCut as DeltaCut
 from .certificate import OrbitCertificate as OrbitCertificate
 from .certificate import RESIDUALS as RESIDUALS
-from .claim import start_on_section as start_on_section
+from .claim import claimed_start as claimed_start
 from .margins import EVENT_MARGINS as EVENT_MARGINS
 from .margins import SHARE as SHARE
 from .margins import measured_margin as measured_margin

@@ -34,7 +34,7 @@ class ClaimedEvent:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Contact:
+class StartContact:
     """A stop that the orbit touches at the start of its period.
 
     Attributes:
@@ -100,7 +100,7 @@ class Claim:
         is_caused = any(event.time == last.time for event in earlier)
         return self.section.startswith("release ") and not is_caused
 
-    def contacts(self, graph: GraphDynamics) -> list[Contact]:
+    def contacts(self, graph: GraphDynamics) -> list[StartContact]:
         """Return the stops that the orbit touches at the start of its period.
 
         A stop is closed if its last event is a Zeno point. The event of the section leaves another.
@@ -116,7 +116,7 @@ class Claim:
             if name in last and self.events[last[name]].name == f"zeno {name}"
         ]
         sides = graph.sides_at(self.start, graph.open_mode[1])
-        found: list[Contact] = []
+        found: list[StartContact] = []
         for k, name in enumerate(graph.stop_names):
             leaves = name == left and kind in ("impact", "release")
             if not leaves and k not in closed:
@@ -132,7 +132,7 @@ class Claim:
             released = leaves and self.starts_at_release
             plastic = kind == "impact" and view.restitution == 0.0
             rests = (released or plastic) if leaves else not opened
-            found.append(Contact(stop=k, view=view, rests=rests, released=released))
+            found.append(StartContact(stop=k, view=view, rests=rests, released=released))
         return found
 
 
@@ -202,7 +202,7 @@ class Case:
     claim: Claim
     graph: GraphDynamics
     own: GraphDynamics
-    contacts: tuple[Contact, ...]
+    contacts: tuple[StartContact, ...]
     start: Vector
 
     @classmethod
@@ -247,7 +247,7 @@ class Case:
         )
 
 
-def start_on_section(
+def claimed_start(
     orbit: Orbit, problem: Problem, dynamics: HybridDynamics | GraphDynamics
 ) -> Vector:
     """Return the start of an orbit, moved onto the stops that it touches there, ``(n_x,)``.

@@ -436,7 +436,11 @@ def _digest(seen: _Seen, numbers: ca.SX) -> str:
     for k in range(f.n_instructions()):
         code = f.instruction_id(k)
         takes, gives = f.instruction_input(k), f.instruction_output(k)
-        words = [operation_name(code).upper(), ",".join(map(str, takes)), ",".join(map(str, gives))]
+        words = [
+            proof_operation(code).upper(),
+            ",".join(map(str, takes)),
+            ",".join(map(str, gives)),
+        ]
         if code == ca.OP_CONST:
             words.append(float(f.instruction_constant(k)).hex())
         lines.append(" ".join(words))
@@ -547,7 +551,7 @@ def _without_constants(
         elif code == ca.OP_CALL:
             raise TableProofError(called_table(function, k))
         else:
-            raise TranslationError(operation_name(code))
+            raise TranslationError(proof_operation(code))
         # The index may have held an operand.
         fixed.pop(place, None)
     return outputs, list(symbols.values()), list(symbols)
@@ -610,7 +614,7 @@ def _operations() -> Mapping[int, Callable[..., Any]]:
     return table
 
 
-def operation_name(code: int) -> str:
+def proof_operation(code: int) -> str:
     """Return CasADi's name of an operation."""
     names = (name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == code)
     return next(names, f"OP_{code}").removeprefix("OP_").lower()

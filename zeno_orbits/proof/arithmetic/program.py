@@ -15,7 +15,7 @@ from flint import arb, arb_series, ctx
 from zeno_orbits.errors import TableProofError, TranslationError
 from zeno_orbits.integrators import called_table
 from zeno_orbits.proof.arithmetic.balls import ONE, ZERO, Ball
-from zeno_orbits.proof.arithmetic.expressions import operation_name
+from zeno_orbits.proof.arithmetic.expressions import proof_operation
 from zeno_orbits.proof.arithmetic.recurrences import (
     OPERATIONS,
     SLOPES,
@@ -208,7 +208,7 @@ class BallProgram:
 
     def _translated(self, code: int, takes: list[int]) -> int:
         """Return the index of a CasADi operation, composed of operations with a recurrence."""
-        name = operation_name(code)
+        name = proof_operation(code)
         if name in OPERATIONS:
             return self._add(name, *takes)
         a, b = takes[0], takes[-1]

@@ -43,10 +43,10 @@ from zeno_orbits.proof.checker.motion import (
 from zeno_orbits.proof.checker.polynomials import (
     Monomials,
     Polys,
-    horner,
     monomials,
     poly_series,
     poly_values,
+    polynomial_value,
 )
 from zeno_orbits.proof.checker.section import Box, ContactSection, newton_of, reached_others
 from zeno_orbits.proof.checker.system import System
@@ -209,9 +209,9 @@ def poly_flows(
     rest = Polys.constant(of, bounds.rest)
     rest_x = Polys.constant(less, bounds.rest_x)
     rest_V = Polys.constant(less, bounds.rest_slope)
-    ends = horner(points, rest, parts[:, None])
+    ends = polynomial_value(points, rest, parts[:, None])
     low_parts = parts.to(less)
-    slopes = horner(V, rest_V, low_parts[:, None, None])
+    slopes = polynomial_value(V, rest_V, low_parts[:, None, None])
 
     def slope_of(found: Any) -> Array:
         slope = found.range.balls(bits)
@@ -230,8 +230,8 @@ def poly_flows(
         def late(spare: Ball, k: int = k, old: PolySet = old, step: Ball = step) -> Any:
             more = lanes_of([around_zero(spare / step)])
             part = low_parts[k].wider(more.c[0] + more.r[0])
-            slope = slope_of(horner(V[:, k], rest_V[k], part[None, None]))
-            at = horner(x[:, k], rest_x[k], part[None]).range.balls(bits)
+            slope = slope_of(polynomial_value(V[:, k], rest_V[k], part[None, None]))
+            at = polynomial_value(x[:, k], rest_x[k], part[None]).range.balls(bits)
             at[~moving] = old.hull[~moving]
             return slope, at
 

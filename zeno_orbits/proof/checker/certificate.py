@@ -26,13 +26,13 @@ from zeno_orbits.proof.checker.basin import RECORDS as POLYNOMIAL_RECORDS
 from zeno_orbits.proof.checker.basin import proved_image
 from zeno_orbits.proof.checker.claims import Passage, of_one_orbit, show
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped, require_enclosed
-from zeno_orbits.proof.checker.formulas import View
+from zeno_orbits.proof.checker.formulas import CheckedView
 from zeno_orbits.proof.checker.lanes import orders_of, require_rounding
 from zeno_orbits.proof.checker.machine import (
-    Machine,
+    CertifiedMachine,
     bound_machine,
     read_sides,
-    require_before,
+    require_first,
     require_reset,
     require_sides,
 )
@@ -46,7 +46,7 @@ from zeno_orbits.proof.checker.motion import (
     struck,
     switched,
 )
-from zeno_orbits.proof.checker.section import Box, ContactSection, require_start, shown_others
+from zeno_orbits.proof.checker.section import Box, ContactSection, require_on_section, shown_others
 from zeno_orbits.proof.checker.system import System
 from zeno_orbits.proof.checker.verdict import ClaimVerdict, ProofVerdict, Theorem
 from zeno_orbits.work import ExecutionPlan, checked, parallel_map, read_json
@@ -188,7 +188,7 @@ def _listed(data: Any, name: str) -> list[Any]:
 
 def read_machine(
     data: Mapping[str, Any], problem: Problem
-) -> tuple[Machine, list[tuple[Ball, Ball]], Theorem]:
+) -> tuple[CertifiedMachine, list[tuple[Ball, Ball]], Theorem]:
     """Return the problem at the certificate's parameter values, and the varied parameters.
 
     Args:
@@ -254,7 +254,7 @@ def require_order(data: Mapping[str, Any], problem: Problem) -> None:
 
 
 def passage_of(
-    machine: Machine,
+    machine: CertifiedMachine,
     section: ContactSection,
     box: Box,
     start: Any,
@@ -280,10 +280,10 @@ def passage_of(
     sets = [start, *(record["set"] for record in records)]
     first, last = (_set(system, box, data) for data in (sets[0], sets[-1]))
     try:
-        require_start(system, section, box, first)
+        require_on_section(system, section, box, first)
         if section.switch >= 0:
             mode = "locked" if section.settled else "free"
-            require_before(system, first.hull, section.switch, mode)
+            require_first(system, first.hull, section.switch, mode)
     except NotProved as failure:
         raise NotProved(f"section: {failure}") from failure
     _require_return(section, box, last)
@@ -341,7 +341,7 @@ def _set(system: System, box: Box, data: Any) -> Enclosure:
 
 
 def _stations(
-    machine: Machine,
+    machine: CertifiedMachine,
     section: ContactSection,
     records: Sequence[Any],
     kinds: Mapping[str, tuple[str, ...]],
@@ -375,7 +375,7 @@ def _stations(
 
 
 def _passed(
-    machine: Machine, here: RecordPosition, record: Mapping[str, Any]
+    machine: CertifiedMachine, here: RecordPosition, record: Mapping[str, Any]
 ) -> tuple[RecordPosition, RecordPosition]:
     """Return the position of a record, and the position after it."""
     kind, (stop, sides) = record["kind"], here.view
@@ -387,12 +387,12 @@ def _passed(
         if met[0] == "switch":
             return place, place._replace(began="", crossed=-1)
         if met[0] == "stop":
-            return place, RecordPosition("closed", "", View(met[1], sides))
+            return place, RecordPosition("closed", "", CheckedView(met[1], sides))
         return place, RecordPosition("free", "release", here.view)
     if "sides" in record:
         kinks = machine.n_switches - machine.first.n_declared
         sides = read_sides(kinks, record["sides"])
-    view = View(stop, sides)
+    view = CheckedView(stop, sides)
     place = here._replace(after=view)
     if kind == "switch":
         _require_other_side(machine, here, sides)
@@ -404,7 +404,9 @@ def _passed(
     return place, RecordPosition(*(("locked", "") if held else ("free", "impact")), view)
 
 
-def _require_other_side(machine: Machine, here: RecordPosition, sides: Sequence[bool]) -> None:
+def _require_other_side(
+    machine: CertifiedMachine, here: RecordPosition, sides: Sequence[bool]
+) -> None:
     """Check that a kink that was crossed is on its other side, and all earlier kinks on theirs."""
     kink, before = here.switch - machine.first.n_declared, here.view.sides
     if kink >= 0 and (sides[kink] == before[kink] or sides[:kink] != before[:kink]):
@@ -412,7 +414,7 @@ def _require_other_side(machine: Machine, here: RecordPosition, sides: Sequence[
 
 
 def _after_switch(
-    machine: Machine, here: RecordPosition, record: Mapping[str, Any]
+    machine: CertifiedMachine, here: RecordPosition, record: Mapping[str, Any]
 ) -> tuple[str, bool]:
     """Return the mode after a switch, and True if its guard is zero after it.
 
@@ -436,7 +438,9 @@ def _after_switch(
     return mode, bool(kept)
 
 
-def _met(machine: Machine, here: RecordPosition, record: Mapping[str, Any]) -> tuple[str, int]:
+def _met(
+    machine: CertifiedMachine, here: RecordPosition, record: Mapping[str, Any]
+) -> tuple[str, int]:
     """Return kind and index of the event of a crossing."""
     own = ("stop" if here.mode == "free" else "release", here.view.stop)
     if not machine.is_graph:
@@ -453,7 +457,7 @@ def _met(machine: Machine, here: RecordPosition, record: Mapping[str, Any]) -> t
 
 
 def _told(
-    machine: Machine, stations: Sequence[RecordPosition], records: Sequence[Any]
+    machine: CertifiedMachine, stations: Sequence[RecordPosition], records: Sequence[Any]
 ) -> tuple[str, ...]:
     """Return the events of a motion in order, in words.
 
@@ -525,7 +529,7 @@ def _others(
 
 
 def _basin(
-    machine: Machine,
+    machine: CertifiedMachine,
     section: ContactSection,
     parts: Sequence[Any],
     sets: Sequence[Box],
@@ -580,7 +584,9 @@ def _word(stations: Sequence[RecordPosition], records: Sequence[Any]) -> tuple[i
     return releases, impacts if records[-1]["kind"] == "impact" else 0
 
 
-def _proved(machine: Machine, box: Box, tasks: Sequence[Any]) -> list[list[list[int]] | str]:
+def _proved(
+    machine: CertifiedMachine, box: Box, tasks: Sequence[Any]
+) -> list[list[list[int]] | str]:
     """Prove records, each with its position in the motion and the set before it.
 
     Returns:
@@ -612,7 +618,7 @@ def _proved(machine: Machine, box: Box, tasks: Sequence[Any]) -> list[list[list[
 
 
 def _mapped(
-    machine: Machine,
+    machine: CertifiedMachine,
     place: RecordPosition,
     old: Enclosure,
     record: Mapping[str, Any],
@@ -635,7 +641,7 @@ def _mapped(
 
 
 def _flows(
-    machine: Machine, olds: Sequence[Enclosure], tasks: Sequence[Any]
+    machine: CertifiedMachine, olds: Sequence[Enclosure], tasks: Sequence[Any]
 ) -> dict[int, Flow | str]:
     """Return the flows of all steps and crossings, together for the same mode and orders."""
     groups: dict[tuple[Any, ...], list[int]] = {}

@@ -162,14 +162,14 @@ class Formulas(NamedTuple):
     n_q: int
 
 
-class View(NamedTuple):
+class CheckedView(NamedTuple):
     """A stop of a machine with several stops, switches or kinks, on sides of the kinks."""
 
     stop: int
     sides: tuple[bool, ...]
 
 
-def _viewed(graph: ModeGraph, view: View) -> tuple[CompletedSystem, tuple[Any, ...]]:
+def _viewed(graph: ModeGraph, view: CheckedView) -> tuple[CompletedSystem, tuple[Any, ...]]:
     """Return the system of a view, and the formulas of the other stops and of the switches."""
     if graph.has_current_layers or graph.roots:
         raise NotProved("the problem has current layers or roots at events")
@@ -191,7 +191,7 @@ def _viewed(graph: ModeGraph, view: View) -> tuple[CompletedSystem, tuple[Any, .
     return system_of_stop(graph, ((), view.sides), view.stop), further
 
 
-def formulas_of(problem: Problem) -> Formulas:
+def checked_formulas(problem: Problem) -> Formulas:
     """Return the formulas of a problem with one stop, which is evaluated once.
 
     Args:
@@ -201,7 +201,7 @@ def formulas_of(problem: Problem) -> Formulas:
     return _formulas(problem.one_stop_model(symbols), (), symbols)
 
 
-def formulas_of_view(graph: ModeGraph, symbols: Mapping[str, ca.SX], view: View) -> Formulas:
+def formulas_of_view(graph: ModeGraph, symbols: Mapping[str, ca.SX], view: CheckedView) -> Formulas:
     """Return the formulas of a stop of a machine on sides of its kinks.
 
     Args:

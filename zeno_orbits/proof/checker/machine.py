@@ -13,10 +13,10 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, watched
 from zeno_orbits.proof.checker.balls import Array, Ball, NotProved, entries, require
 from zeno_orbits.proof.checker.formulas import (
+    CheckedView,
     Formulas,
     Graph,
-    View,
-    formulas_of,
+    checked_formulas,
     formulas_of_view,
     joined_digest,
     walked,
@@ -24,11 +24,11 @@ from zeno_orbits.proof.checker.formulas import (
 from zeno_orbits.proof.checker.identities import are_equal
 from zeno_orbits.proof.checker.system import System, bound_system
 
-ONE_STOP = View(0, ())
+ONE_STOP = CheckedView(0, ())
 _MOST_SIDES = 64
 
 
-class Machine(NamedTuple):
+class CertifiedMachine(NamedTuple):
     """The systems of a certificate.
 
     Attributes:
@@ -40,8 +40,8 @@ class Machine(NamedTuple):
         names: Names of the stops, and of the switches.
     """
 
-    start: View
-    systems: Mapping[View, System]
+    start: CheckedView
+    systems: Mapping[CheckedView, System]
     n_stops: int
     n_switches: int
     is_graph: bool
@@ -52,7 +52,7 @@ class Machine(NamedTuple):
         """The system on the section."""
         return self.systems[self.start]
 
-    def is_plastic(self, view: View) -> bool:
+    def is_plastic(self, view: CheckedView) -> bool:
         """Return True if the restitution of a stop is exactly zero, independently of the states."""
         system = self.systems[view]
         law = system.nodes["law"]
@@ -78,7 +78,7 @@ def bound_machine(
     problem: Problem,
     numbers: Mapping[str, Ball],
     over: Sequence[str],
-) -> Machine:
+) -> CertifiedMachine:
     """Return the systems of a certificate. The problem is evaluated once.
 
     Args:
@@ -93,25 +93,25 @@ def bound_machine(
     """
     row = data["gap_row"]
     if "machine" not in data:
-        formulas = formulas_of(problem)
+        formulas = checked_formulas(problem)
         _require_digest(data, problem, formulas.digest)
         _require_row(row, formulas)
         system = bound_system(formulas, numbers, over, row)
-        return Machine(ONE_STOP, {ONE_STOP: system}, 1, 0, False, (("stop",), ()))
+        return CertifiedMachine(ONE_STOP, {ONE_STOP: system}, 1, 0, False, (("stop",), ()))
     stop, own = entries(data["machine"], "stop", "sides")
     symbols = problem.symbols()
     graph = problem.model(symbols).graph
     if type(stop) is not int or not 0 <= stop < graph.n_watched:
         raise InputError("The certificate's `machine` must have a stop of the problem.")
     n_kinks, n_stops = len(graph.conditions), graph.n_watched
-    start = View(stop, read_sides(n_kinks, own))
+    start = CheckedView(stop, read_sides(n_kinks, own))
     records = [record for part in data["passes"] for record in part["records"]]
     used = {read_sides(n_kinks, record["sides"]) for record in records if "sides" in record}
     used.add(start.sides)
     require(len(used) <= _MOST_SIDES, "the kinks have too many sides")
     if row is not None and n_stops > 1:
         raise InputError("The certificate's `gap_row` must be null for several stops.")
-    views = [View(k, sides) for sides in sorted(used) for k in range(n_stops)]
+    views = [CheckedView(k, sides) for sides in sorted(used) for k in range(n_stops)]
     formulas = {view: formulas_of_view(graph, symbols, view) for view in views}
     _require_digest(data, problem, joined_digest(one.digest for one in formulas.values()))
     _require_row(row, formulas[start])
@@ -119,7 +119,7 @@ def bound_machine(
     systems = {view: bound_system(formulas[view], numbers, over, row, view) for view in views}
     n_switches = len(graph.switches) + n_kinks
     names = tuple(one.name for one in watched(graph.stops)), graph.switch_names
-    machine = Machine(start, systems, n_stops, n_switches, True, names)
+    machine = CertifiedMachine(start, systems, n_stops, n_switches, True, names)
     for system in systems.values():
         _require_free_resets(system)
     return machine
@@ -188,7 +188,7 @@ def require_reset(system: System, box: Array, switch: int, mode: str) -> None:
         require(held or box[k].low > 0, f"a gap may be closed after a reset: {box[k].shown()}")
 
 
-def require_before(system: System, box: Array, switch: int, mode: str) -> None:
+def require_first(system: System, box: Array, switch: int, mode: str) -> None:
     """Check that all states of a section are just before its switch, in its mode and on its sides.
 
     The guard of the switch falls, and it is armed. All gaps are positive, except that of a closed
@@ -230,7 +230,7 @@ def require_sides(system: System, box: Array, crossed: int = -1) -> None:
         require(k == crossed or sound, f"switch {k} may be zero: {guard.shown()}")
 
 
-def require_switches(
+def require_known_switches(
     system: System,
     mode: str,
     boxes: tuple[Array, Array, Array],

@@ -18,7 +18,7 @@ from zeno_orbits.proof.checker.balls import (
     require,
 )
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped
-from zeno_orbits.proof.checker.formulas import View
+from zeno_orbits.proof.checker.formulas import CheckedView
 from zeno_orbits.proof.checker.lanes import (
     LaneFlow,
     Lanes,
@@ -29,9 +29,9 @@ from zeno_orbits.proof.checker.lanes import (
 )
 from zeno_orbits.proof.checker.machine import (
     ONE_STOP,
+    require_known_switches,
     require_others_apart,
     require_sides,
-    require_switches,
 )
 from zeno_orbits.proof.checker.series import complex_values, interval, taylor, upper
 from zeno_orbits.proof.checker.system import System
@@ -55,10 +55,10 @@ class RecordPosition(NamedTuple):
 
     mode: str
     began: str
-    view: View = ONE_STOP
+    view: CheckedView = ONE_STOP
     crossed: int = -1
     met: tuple[str, int] = ("", -1)
-    after: View = ONE_STOP
+    after: CheckedView = ONE_STOP
 
     @property
     def switch(self) -> int:
@@ -149,7 +149,7 @@ def all_inputs(system: System, box: Lanes) -> dict[int, Lanes]:
     return fixed | {place: box[:, k] for k, place in enumerate(system.z)}
 
 
-class Held(NamedTuple):
+class HeldBoxes(NamedTuple):
     """A-priori boxes of steps.
 
     Attributes:
@@ -167,7 +167,9 @@ class Held(NamedTuple):
     rest: Lanes
 
 
-def held(system: System, mode: str, orders: Sequence[int], x: Lanes, V: Lanes, h: Lanes) -> Held:
+def held(
+    system: System, mode: str, orders: Sequence[int], x: Lanes, V: Lanes, h: Lanes
+) -> HeldBoxes:
     """Return a-priori boxes from the terms of the flow and of its derivative over sets.
 
     Args:
@@ -195,7 +197,7 @@ def held(system: System, mode: str, orders: Sequence[int], x: Lanes, V: Lanes, h
         if found.all():
             break
     over, _ = coefficients(flow, all_inputs(system, reach), h, 0, high + 1)
-    return Held(found, reach, rest_V, rest_x, over[high + 1])
+    return HeldBoxes(found, reach, rest_V, rest_x, over[high + 1])
 
 
 def _horner(series: Array, part: Ball) -> Array:
@@ -214,7 +216,7 @@ def _require_events(system: System, place: RecordPosition, flow: Flow, end: Arra
     if place.met[0] == "stop" and not system.is_pinned:
         besides.append(system.n_x + 2 * place.met[1])
     require_others_apart(system, place.mode, boxes, besides)
-    require_switches(system, place.mode, boxes, crossed=place.crossed, met=place.switch)
+    require_known_switches(system, place.mode, boxes, crossed=place.crossed, met=place.switch)
 
 
 def stepped(system: System, place: RecordPosition, flow: Flow) -> Mapped:

@@ -184,7 +184,7 @@ def dot(x: Polys, y: Polys) -> Polys:
     return _product("k...p,k...q->...pq", "k...,k...->...", len(x.c), x, y[::-1])
 
 
-def horner(series: Polys, rest: Polys, part: Polys) -> Polys:
+def polynomial_value(series: Polys, rest: Polys, part: Polys) -> Polys:
     """Return the sums of series at parts of their steps.
 
     Args:

@@ -247,7 +247,7 @@ def shown_others(system: System, section: ContactSection, box: Box) -> dict[int,
     return shown | texts
 
 
-def require_start(system: System, section: ContactSection, box: Box, start: Enclosure) -> None:
+def require_on_section(system: System, section: ContactSection, box: Box, start: Enclosure) -> None:
     """Check that a set contains every point of the section whose coordinates are in a box.
 
     Newton's operator on the conditions, for all coordinates together, proves that exactly one such

@@ -24,7 +24,14 @@ import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.proof.checker.balls import Array, Ball, exactly, require
-from zeno_orbits.proof.checker.formulas import Formulas, Graph, Row, View, require_analytic, walked
+from zeno_orbits.proof.checker.formulas import (
+    CheckedView,
+    Formulas,
+    Graph,
+    Row,
+    require_analytic,
+    walked,
+)
 from zeno_orbits.proof.checker.identities import are_equal, require_impacts, require_kept
 from zeno_orbits.proof.checker.series import values
 
@@ -169,7 +176,7 @@ def bound_system(
     numbers: Mapping[str, Ball],
     over: Sequence[str],
     row: int | None,
-    view: View | None = None,
+    view: CheckedView | None = None,
 ) -> System:
     """Return the nodes of a problem at given parameter values.
 

@@ -11,7 +11,7 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Multipliers, Orbit
 from zeno_orbits.report.motion import orbit_motion
-from zeno_orbits.report.paths import ArcPath, paths_of
+from zeno_orbits.report.paths import ArcPath, drawn_paths
 from zeno_orbits.report.table import shown_multipliers
 from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation import Execution, Release, SimulationSettings, ZenoPoint, simulate
@@ -66,7 +66,7 @@ class ExploredAttractor:
         if self.motion is None:
             return []
         units = dict(zip(problem.state_names, problem.state_units, strict=True))
-        paths = paths_of(self.motion)
+        paths = drawn_paths(self.motion)
         return [
             {
                 "x": f"{x} [{units[x]}]",

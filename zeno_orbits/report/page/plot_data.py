@@ -15,7 +15,7 @@ from zeno_orbits.model import Problem
 from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.motion import GROUND, STOP, frame_of, machine_motion
 from zeno_orbits.report.page.subject import Subject
-from zeno_orbits.report.paths import ArcPath, drawn_phases_of, paths_of, shown_states
+from zeno_orbits.report.paths import ArcPath, drawn_paths, drawn_phases_of, shown_states
 from zeno_orbits.report.push_panels import PushPanel, push_panels
 from zeno_orbits.report.symbols import direction_symbol, html_symbol
 from zeno_orbits.report.trade_lines import front_line, trade_lines
@@ -204,7 +204,7 @@ def _on(path: ArcPath) -> str:
 
 
 def _paths(execution: Execution) -> list[ArcPath]:
-    return paths_of(execution, least=max(12, min(150, _POINTS // len(execution.arcs))))
+    return drawn_paths(execution, least=max(12, min(150, _POINTS // len(execution.arcs))))
 
 
 def _label(problem: Problem, index: int) -> str:

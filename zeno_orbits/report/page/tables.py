@@ -21,8 +21,8 @@ from zeno_orbits.report.recordings import comparison_columns
 from zeno_orbits.report.table import (
     BELOW_ROUNDING,
     BOUNDS,
-    Column,
     Table,
+    TableColumn,
     number_column,
     shown_multiplier,
     shown_number,
@@ -112,7 +112,7 @@ def _titled(table: Table[Any]) -> Table[Any]:
     return replace(table, is_titled=True)
 
 
-def _quantity_columns(values: Mapping[str, float]) -> list[Column[Quantity]]:
+def _quantity_columns(values: Mapping[str, float]) -> list[TableColumn[Quantity]]:
     return [
         text_column("name", lambda quantity: quantity.name),
         number_column("value", lambda quantity: shown_number(values[quantity.name], 12)),
@@ -148,7 +148,7 @@ def events_table(execution: Execution, unit: str) -> Table[Any]:
         execution: The period.
         unit: Unit of the gap.
     """
-    columns: list[Column[Event]] = [
+    columns: list[TableColumn[Event]] = [
         number_column("time [s]", lambda event: shown_number(event.time, 12)),
         text_column("event", _event_name),
         number_column(f"speed of the impact [{unit_quotient(unit, 's')}]", _hit_speed),
@@ -181,7 +181,7 @@ def multipliers_table(certificate: OrbitCertificate) -> Table[Any]:
     def size(value: float) -> str:
         return cell(value) if cell(value) != "0" else BELOW_ROUNDING
 
-    columns: list[Column[tuple[int, complex]]] = [
+    columns: list[TableColumn[tuple[int, complex]]] = [
         text_column("number", lambda one: f"{one[0]}"),
         number_column("real part [1]", lambda one: cell(one[1].real)),
         number_column("imaginary part [1]", lambda one: cell(one[1].imag)),
@@ -194,7 +194,7 @@ def multipliers_table(certificate: OrbitCertificate) -> Table[Any]:
 def checks_table(certificate: OrbitCertificate) -> Table[Any]:
     """Return every residual in plain words, as a number and by its name."""
     sizes, tolerance = certificate.residuals, certificate.tolerance
-    columns: list[Column[str]] = [
+    columns: list[TableColumn[str]] = [
         text_column("in plain words", lambda name: CHECKS[name].plainly),
         text_column("passed", lambda name: sizes[name] <= tolerance),
         number_column("residual [1]", lambda name: _residual(sizes[name])),
@@ -224,7 +224,7 @@ def margins_table(certificate: OrbitCertificate, unit: str, energy: str) -> Tabl
             _FORCES.get((energy, unit)) or unit_quotient(energy, unit), "s"
         ),
     }
-    columns: list[Column[str]] = [
+    columns: list[TableColumn[str]] = [
         text_column("name", lambda name: name),
         number_column("value", lambda name: shown_number(certificate.margins[name], 6)),
         text_column(
@@ -245,7 +245,7 @@ def energies_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
     """
     energies = certificate.energies
     least = _ROUNDING * max((abs(value) for value in energies.values()), default=0.0)
-    columns: list[Column[str]] = [
+    columns: list[TableColumn[str]] = [
         text_column("part", lambda name: words.ENERGIES.get(name, name)),
         number_column(
             f"energy [{unit}]",
@@ -262,7 +262,7 @@ def trade_table(trade: WorkPrecision) -> Table[Any]:
 
 def least_pushes_table(found: Pushes) -> Table[Any]:
     """Return the least push per direction and sense over all phases."""
-    columns: list[Column[Push]] = [
+    columns: list[TableColumn[Push]] = [
         text_column("direction", lambda push: push.name),
         number_column("least push", _least),
         number_column("error", lambda push: f"{push.error:.1g}" if _is_lost(push) else ""),
@@ -298,7 +298,7 @@ def recording_table(found: Comparison) -> Table[Any]:
 def versions_table(orbit: Orbit, bundle: Bundle) -> Table[Any]:
     """Return the versions that found the orbit and the versions that wrote the page."""
     here = {**versions(), "plotly": bundle.version}
-    columns: list[Column[str]] = [
+    columns: list[TableColumn[str]] = [
         text_column("package", lambda name: name),
         text_column("that found the orbit", lambda name: orbit.versions.get(name, "-")),
         text_column("that wrote this page", lambda name: here.get(name, "-")),

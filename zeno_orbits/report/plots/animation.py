@@ -23,7 +23,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.report.motion import GROUND, STOP, MachineMotion, frame_of, machine_motion
-from zeno_orbits.report.paths import paths_of
+from zeno_orbits.report.paths import drawn_paths
 from zeno_orbits.report.plots.looks import Looks, looks_of, mark_switches
 from zeno_orbits.report.plots.mechanism import label_lengths
 from zeno_orbits.report.plots.panels import Panels
@@ -256,7 +256,7 @@ def _draw_portrait(
     ax: Axes, problem: Problem, execution: Execution, looks: Looks, pair: Sequence[int]
 ) -> tuple[Any, Any]:
     """Draw the whole orbit, and return the moving point and its trail."""
-    for path in paths_of(execution):
+    for path in drawn_paths(execution):
         thin: dict[str, Any] = looks.path(path) | {"lw": 1.0}
         ax.plot(*path.states[:, list(pair)].T, **thin)
     for impact in execution.impacts:

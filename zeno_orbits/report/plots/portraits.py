@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import Problem
-from zeno_orbits.report.paths import ArcPath, paths_of
+from zeno_orbits.report.paths import ArcPath, drawn_paths
 from zeno_orbits.report.plots.looks import Looks, looks_of, mark_switches
 from zeno_orbits.report.plots.panels import portraits_of
 from zeno_orbits.report.plots.style import (
@@ -46,7 +46,7 @@ def plot_portraits(
         axes: Axes to draw into, one per portrait, by default on a new figure.
     """
     panels, pairs = portraits_of(problem, width, height=2.5, axes=axes)
-    impacts, paths, looks = execution.impacts, paths_of(execution), looks_of(execution)
+    impacts, paths, looks = execution.impacts, drawn_paths(execution), looks_of(execution)
     for ax, pair in pairs:
         for path in paths:
             ax.plot(*path.states[:, pair].T, **looks.path(path))

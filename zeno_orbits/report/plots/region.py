@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import HybridDynamics, Problem, unit_quotient
-from zeno_orbits.report.paths import paths_of
+from zeno_orbits.report.paths import drawn_paths
 from zeno_orbits.report.plots.panels import panels_of
 from zeno_orbits.report.plots.style import BLUES, FULL_WIDTH, LOOKS, ZENO, mark_completion
 from zeno_orbits.report.symbols import label_of
@@ -180,7 +180,7 @@ def _overlay_orbit(
             acceleration = dynamics.gap_acceleration(zeno.state)
             ax.plot(zeno.state[up], acceleration, label="Zeno point", **ZENO)
         return
-    for path in paths_of(execution):
+    for path in drawn_paths(execution):
         if path.kind == Mode.LOCKED.value:
             ax.plot(*path.states[:, [across, up]].T, **LOOKS[path.kind])
     mark_completion(ax, execution, (across, up))

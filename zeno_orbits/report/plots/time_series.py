@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.report.paths import ArcPath, drawn_phases_of, paths_of, shown_states
+from zeno_orbits.report.paths import ArcPath, drawn_paths, drawn_phases_of, shown_states
 from zeno_orbits.report.plots.looks import Looks, looks_of
 from zeno_orbits.report.plots.panels import is_wide, panels_of
 from zeno_orbits.report.plots.style import ARCS, FULL_WIDTH, ZENO
@@ -123,7 +123,7 @@ def _over_time(
     n = len(labels)
     across = 2 if is_wide(width) and n > 1 else 1
     panels = panels_of(width, n, height=max(1.25, 2.0 / n), columns=across, axes=axes)
-    paths, looks = paths_of(execution), looks_of(execution)
+    paths, looks = drawn_paths(execution), looks_of(execution)
     values = [columns(path.states) for path in paths]
     turns = [_turns([one[:, column] for one in values]) for column in range(n)]
     # Velocities jump and have more extremes: the slowest state determines the duration of a swing.

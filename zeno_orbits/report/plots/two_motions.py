@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment import MatchedRun
 from zeno_orbits.model import HybridDynamics, Problem, unit_quotient
-from zeno_orbits.report.paths import drawn_phases_of, paths_of
+from zeno_orbits.report.paths import drawn_paths, drawn_phases_of
 from zeno_orbits.report.plots.panels import Panels, panels_of, portraits_of
 from zeno_orbits.report.plots.style import ARCS, COLUMN_WIDTH, JUMP, TEXT, TINTS, ZENO
 from zeno_orbits.report.symbols import label_of
@@ -58,7 +58,7 @@ def plot_beside_over_time(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Fi
     """Return the coordinates of both motions over time, the model's locked phases shaded."""
     panels = _coordinates(two, width)
     for row, ax in enumerate(panels):
-        for path in paths_of(two.model):
+        for path in drawn_paths(two.model):
             ax.plot(path.times, path.states[:, row], **_MODEL[path.kind])
         ax.plot(two.other.times, two.other.states[:, row], label=two.other.label, **_OTHER)
         ax.set(xlim=(0.0, two.model.end_time))
@@ -80,7 +80,7 @@ def plot_beside_by_phase(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Fig
     phases, numbers = np.modf(other.times / other.period)
     ends = [*np.flatnonzero(np.diff(numbers) > 0.0) + 1]
     for row, ax in enumerate(panels):
-        for path in paths_of(two.model):
+        for path in drawn_paths(two.model):
             ax.plot(path.times / own, path.states[:, row], **_MODEL[path.kind])
         # The last sample of a cycle and the first sample of the next cycle are not connected by a
         # line.
@@ -119,7 +119,7 @@ def plot_beside_portraits(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Fi
     """Return the phase portraits of both motions, as defined by the problem's ``portraits``."""
     panels, pairs = portraits_of(two.problem, width, height=2.0)
     for ax, pair in pairs:
-        for path in paths_of(two.model):
+        for path in drawn_paths(two.model):
             ax.plot(*path.states[:, pair].T, **_MODEL[path.kind])
         for impact in two.model.impacts:
             ax.plot(*np.array([impact.state_minus[pair], impact.state_plus[pair]]).T, **JUMP)
@@ -134,7 +134,7 @@ def plot_beside_zeno_point(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> F
     panels = panels_of(width, 1, height=2.2)
     (ax,) = panels
     unit, zoom = two.problem.gap_unit, close_ups(two.model, two.dynamics)[-1]
-    for path in paths_of(two.model):
+    for path in drawn_paths(two.model):
         ax.plot(*_gap_and_rate(two.dynamics, path.states), **_MODEL[path.kind])
     for impact in two.model.impacts:
         rate = impact.approach_rate
@@ -168,7 +168,7 @@ def _coordinates(two: TwoMotions, width: float, unit: float = 1.0) -> Panels:
 def _draw_gaps(ax: Axes, two: TwoMotions, first: float, window: Sequence[float]) -> float:
     """Draw both gaps over a window of time, and return the highest of the model's rebounds."""
     highest = 0.0
-    for path in paths_of(two.model):
+    for path in drawn_paths(two.model):
         gaps, _ = _gap_and_rate(two.dynamics, path.states)
         seen = (path.times >= window[0]) & (path.times <= window[1])
         ax.plot(path.times[seen], gaps[seen], **_MODEL[path.kind])

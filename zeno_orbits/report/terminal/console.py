@@ -13,7 +13,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.errors import printable
-from zeno_orbits.report.table import Cell, Column, Item
+from zeno_orbits.report.table import Cell, Item, TableColumn
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -77,7 +77,7 @@ def plain_console(width: int | None = None) -> Console:
     return Plain(highlight=False, markup=False, width=width or line_width())
 
 
-def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
+def print_table(columns: Sequence[TableColumn[Item]], items: Iterable[Item]) -> None:
     """Print a table with one row per item, followed by an empty line.
 
     Words of text may go to the next line. No word, number or name is ever cut: a table that is too
@@ -108,7 +108,7 @@ def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
 
 
 def _widths(
-    columns: Sequence[Column[Item]], cells: Sequence[Sequence[Cell]], room: int
+    columns: Sequence[TableColumn[Item]], cells: Sequence[Sequence[Cell]], room: int
 ) -> list[int]:
     """Return the widths of columns: the full widths, or a smaller width of the widest columns.
 
@@ -126,12 +126,12 @@ def _widths(
     return widths
 
 
-def _heading(column: Column[Item], *, whole: bool) -> int:
+def _heading(column: TableColumn[Item], *, whole: bool) -> int:
     """Return the width of a heading, or of its longest word."""
     return max(map(len, [column.heading] if whole else column.heading.split()), default=0)
 
 
-def _cells(column: Column[Item], cells: Sequence[Cell], *, whole: bool) -> int:
+def _cells(column: TableColumn[Item], cells: Sequence[Cell], *, whole: bool) -> int:
     """Return the width of the longest cell, or of the longest word where text may be wrapped."""
     texts = [cell for cell in cells if isinstance(cell, str)]
     if not (whole or column.is_number or column.is_whole):

@@ -10,7 +10,7 @@ from zeno_orbits.errors import counted
 from zeno_orbits.model import unit_quotient
 from zeno_orbits.report.recordings import comparison_columns, comparison_lines, known, seven
 from zeno_orbits.report.table import (
-    Column,
+    TableColumn,
     name_column,
     number_column,
     prefixed,
@@ -72,7 +72,7 @@ def print_rig(comparison: RigComparison, amplitude: str) -> None:
         apart = (mean(name) - orbit(name)) / scale(name)[1]
         return f"{apart:+.2g}" if abs(apart) > _ROUNDING else "0"
 
-    columns: list[Column[str]] = [
+    columns: list[TableColumn[str]] = [
         text_column("quantity", lambda name: rows[name]),
         text_column("unit", lambda name: scale(name)[0]),
         number_column("orbit", lambda name: seven(orbit(name) / scale(name)[1])),
@@ -141,10 +141,10 @@ def print_contacts(
     rate, speed = prefixed(
         unit_quotient(gap_unit, "s"), *(one["approach_rate"] for one in contacts)
     )
-    named: Column[tuple[str, Mapping[str, float]]] = Column(
+    named: TableColumn[tuple[str, Mapping[str, float]]] = TableColumn(
         heading="stop", cell=lambda one: one[0], is_whole=True
     )
-    columns: list[Column[tuple[str, Mapping[str, float]]]] = [
+    columns: list[TableColumn[tuple[str, Mapping[str, float]]]] = [
         *([named] if stops else []),
         number_column(f"contact begins [{unit}]", lambda one: seven(one[1]["start"] / size)),
         number_column(f"ends [{unit}]", lambda one: seven(one[1]["end"] / size)),
@@ -180,7 +180,7 @@ def _print_contact_summary(
     def longest(rows: Sequence[Mapping[str, float]]) -> float:
         return max(one["end"] - one["start"] for one in rows)
 
-    columns: list[Column[tuple[str, list[Mapping[str, float]]]]] = [
+    columns: list[TableColumn[tuple[str, list[Mapping[str, float]]]]] = [
         name_column("stop", lambda row: row[0]),
         number_column("contacts", lambda row: str(len(row[1]))),
         number_column(f"first begins [{unit}]", lambda row: seven(row[1][0]["start"] / size)),
@@ -212,7 +212,7 @@ def print_description(found: RecordingDescription) -> None:
     def role(one: FileColumn) -> str:
         return found.role(one) if one.holds_text or not one.trouble else "cannot be used"
 
-    columns: list[Column[FileColumn]] = [
+    columns: list[TableColumn[FileColumn]] = [
         name_column("title", lambda one: one.title or "(empty)"),
         name_column("name", lambda one: one.name),
         text_column("unit", lambda one: one.unit),
@@ -246,7 +246,7 @@ def _read_as(errors: Mapping[str, Estimate]) -> Iterator[str]:
 def print_laws(found: LawComparison) -> None:
     """Print laws of impact and the law that the recordings support."""
     words = {True: "no structure left", False: "structure left"}
-    columns: list[Column[LawFit]] = [
+    columns: list[TableColumn[LawFit]] = [
         name_column("law", lambda one: one.law),
         number_column("deviation", lambda one: f"{100 * one.found.after:.3g} %"),
         text_column("residuals", lambda one: words[one.is_supported]),
@@ -270,7 +270,7 @@ def print_identification(found: Identification, recording_remarks: Sequence[str]
     """
     if found.transient is not None:
         print_lines([f"Model: {found.transient.verdict}."])
-    columns: list[Column[FittedParameter]] = [
+    columns: list[TableColumn[FittedParameter]] = [
         name_column("parameter", lambda one: one.unknown.label),
         number_column("start value", lambda one: f"{one.start:.6g}"),
         number_column("fitted", lambda one: f"{one.value:.7g}"),
@@ -335,7 +335,7 @@ def _errors_of(
 def print_transient_comparison(found: TransientComparison) -> None:
     """Print transients compared with the motion of a problem, impact by impact."""
     print_lines([f"Model: {found.fit.verdict}."])
-    impacts: list[Column[ImpactDeviation]] = [
+    impacts: list[TableColumn[ImpactDeviation]] = [
         name_column("trial", lambda one: one.trial),
         number_column("impact", lambda one: str(one.number)),
         number_column("recorded [s]", lambda one: known(one.recorded, ".6g", "not seen")),
@@ -344,7 +344,7 @@ def print_transient_comparison(found: TransientComparison) -> None:
     ]
     if found.impacts:
         print_table(impacts, found.impacts)
-    flights: list[Column[FlightDeviation]] = [
+    flights: list[TableColumn[FlightDeviation]] = [
         name_column("trial", lambda one: one.trial),
         text_column("signal", lambda one: one.signal),
         number_column("flight", lambda one: str(one.flight)),

@@ -12,7 +12,7 @@ import numpy as np
 
 from zeno_orbits.errors import counted
 from zeno_orbits.report.table import (
-    Column,
+    TableColumn,
     name_column,
     number_column,
     shown_complex,
@@ -77,7 +77,7 @@ def print_execution(
     errors = dict(zip(map(id, execution.zeno_points), assured.zeno_errors, strict=False))
     events = execution.events
     moving = names if all_states else _moving(problem, events)[:_MOST_STATES]
-    columns: list[Column[_Line]] = [
+    columns: list[TableColumn[_Line]] = [
         number_column("t [s]", lambda event: _unless_skipped(event, _time)),
         text_column("event", lambda event: _event_name(event, errors)),
         number_column("dh/dt", lambda event: _unless_skipped(event, _approach_rate)),
@@ -171,7 +171,7 @@ def _approach_rate(event: Event) -> str:
     return f"{event.approach_rate:.6g}" if isinstance(event, Impact) else ""
 
 
-def _state_column(name: str, index: int) -> Column[_Line]:
+def _state_column(name: str, index: int) -> TableColumn[_Line]:
     """Return the column of a state, at an impact or switch just before it."""
     from zeno_orbits.simulation import state_before
 
@@ -281,14 +281,14 @@ def print_event_states(orbit: Orbit) -> None:
     Args:
         orbit: The orbit.
     """
-    columns: list[Column[OrbitEvent]] = [
+    columns: list[TableColumn[OrbitEvent]] = [
         text_column("before", lambda event: event.name),
         *(_before_column(name) for name in orbit.start_state),
     ]
     print_table(columns, orbit.events)
 
 
-def _before_column(name: str) -> Column[OrbitEvent]:
+def _before_column(name: str) -> TableColumn[OrbitEvent]:
     return number_column(name, lambda event: f"{event.state[name]:.10g}")
 
 
@@ -317,7 +317,7 @@ def print_event_quantities(certificate: OrbitCertificate) -> None:
     def cell(word: str) -> Callable[[str], str]:
         return lambda stop: _range_text(ranges.get(f"{stop}.{word}"))
 
-    columns: list[Column[str]] = [
+    columns: list[TableColumn[str]] = [
         name_column("stop", lambda stop: stop),
         *(number_column(head, cell(word)) for word, head in _SHOWN.items()),
     ]
@@ -367,7 +367,7 @@ def print_orbit(
         certificate: Its certificate.
         free: Parameters that were searched, printed as gains are.
     """
-    columns: list[Column[_Row]] = [
+    columns: list[TableColumn[_Row]] = [
         name_column("quantity", lambda row: row[0]),
         number_column("value", lambda row: row[1]),
         text_column("unit", lambda row: row[2]),
@@ -437,7 +437,7 @@ def print_certificate(
     worst = f"Largest residual: {shown_size(sizes[largest])} ({largest}), " if largest else ""
     count = f"{passed} of {counted(len(names), 'check')} passed."
     print_lines([f"{count} {worst}tolerance {certificate.tolerance:.0e}.", ""])
-    residual_columns: list[Column[str]] = [
+    residual_columns: list[TableColumn[str]] = [
         name_column("check", lambda name: name),
         number_column("residual", lambda name: shown_size(sizes[name])),
         text_column("passed", lambda name: sizes[name] <= certificate.tolerance),
@@ -464,7 +464,7 @@ def print_certificate(
 
 def _print_margins(certificate: OrbitCertificate) -> None:
     margins = certificate.margins
-    columns: list[Column[str]] = [
+    columns: list[TableColumn[str]] = [
         name_column("margin", lambda name: name),
         number_column("value", lambda name: f"{margins[name]:.6g}"),
         text_column("positive", lambda name: margins[name] > 0),
@@ -475,7 +475,7 @@ def _print_margins(certificate: OrbitCertificate) -> None:
 def _print_truncation(certificate: OrbitCertificate) -> None:
     if not certificate.delta_sweep:
         return
-    columns: list[Column[DeltaCut]] = [
+    columns: list[TableColumn[DeltaCut]] = [
         number_column("threshold |dh/dt|", lambda cut: f"{cut.delta:.3g}"),
         number_column("|dh/dt| at the cut", lambda cut: f"{cut.speed:.3g}"),
         number_column("relative error", lambda cut: f"{cut.error:.1e}"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from zeno_orbits.report.table import Column, name_column, number_column, text_column
+from zeno_orbits.report.table import TableColumn, name_column, number_column, text_column
 from zeno_orbits.report.terminal.console import print_lines, print_table, print_whole
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ _DOWN, _UP = 1 - 1e-5, 1 + 1e-5
 
 def print_problems(problems: Sequence[Problem]) -> None:
     """Print the list of problems."""
-    columns: list[Column[Problem]] = [
+    columns: list[TableColumn[Problem]] = [
         name_column("name", lambda problem: problem.name),
         number_column("states", lambda problem: str(len(problem.state_names))),
         text_column("gains", lambda problem: ", ".join(g.name for g in problem.gains) or "-"),
@@ -82,7 +82,7 @@ def print_equilibrium(problem: Problem, point: EquilibriumReport) -> None:
         return
     print_lines(["Impacts accumulate from every admissible state of the neighbourhood W:"])
     units = dict(zip(problem.state_names, problem.state_units, strict=True))
-    columns: list[Column[tuple[str, float, float]]] = [
+    columns: list[TableColumn[tuple[str, float, float]]] = [
         name_column("state", lambda row: row[0]),
         number_column("centre", lambda row: f"{row[1]:.17g}"),
         number_column("radius", lambda row: f"{row[2]:.17g}"),

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.errors import counted
-from zeno_orbits.report.table import BOUNDS, Column, number_column, text_column
+from zeno_orbits.report.table import BOUNDS, TableColumn, number_column, text_column
 from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def print_search(result: SearchResult) -> None:
     if result.scan:
         print_lines([result.scan])
     if len(result.attempts) > 1:
-        columns: list[Column[StartAttempt]] = [
+        columns: list[TableColumn[StartAttempt]] = [
             text_column("start", lambda one: _listed({**one.gains, **one.parameters}, 4)),
             text_column("ended", lambda one: one.status.name.lower().replace("_", " ")),
             text_column("reason", lambda one: one.detail),
@@ -53,7 +53,7 @@ def print_candidates(result: SearchResult) -> None:
         parameters = {name: one.orbit.parameters[name] for name in freed}
         return _listed({**one.orbit.gains, **parameters}, 5)
 
-    columns: list[Column[tuple[int, Candidate]]] = [
+    columns: list[TableColumn[tuple[int, Candidate]]] = [
         number_column("rank", lambda row: str(row[0])),
         number_column("score", lambda row: f"{row[1].score:.6g}"),
         number_column("period [s]", lambda row: f"{row[1].orbit.period:.8g}"),

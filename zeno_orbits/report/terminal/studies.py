@@ -19,7 +19,7 @@ from zeno_orbits.report.disturbances import (
     summary_line,
 )
 from zeno_orbits.report.table import (
-    Column,
+    TableColumn,
     name_column,
     number_column,
     shown_complex,
@@ -62,7 +62,7 @@ _ROUNDING = 1e-12
 
 def print_reduction_costs(costs: Sequence[ReductionCost]) -> None:
     """Print the relative errors that the reduced models of a problem make in an orbit."""
-    columns: list[Column[tuple[ReductionCost, str]]] = [
+    columns: list[TableColumn[tuple[ReductionCost, str]]] = [
         name_column("reduced model", lambda row: _if_first(row, row[0].problem)),
         text_column(
             "states", lambda row: _if_first(row, f"{row[0].n_states} of {row[0].n_full_states}")
@@ -104,7 +104,7 @@ def print_trade(trade: WorkPrecision) -> None:
     from zeno_orbits.report.trade_lines import CHEAPEST, cheapest_of, shown_value
 
     front = set(map(id, trade.front))
-    columns: list[Column[TimedSetting]] = [
+    columns: list[TableColumn[TimedSetting]] = [
         text_column("", lambda trial: "*" if id(trial) in front else ""),
         text_column("sweep", lambda trial: trial.sweep),
         text_column("setting", lambda trial: trial.name),
@@ -144,7 +144,7 @@ def print_map(found: ParameterMap) -> None:
     for attractor in found.attractors:
         groups.setdefault(attractor.phrase, []).append(attractor)
     total = len(found.attractors)
-    columns: list[Column[tuple[str, list[Attractor]]]] = [
+    columns: list[TableColumn[tuple[str, list[Attractor]]]] = [
         text_column("the motion settles to", lambda row: row[0]),
         number_column("points", lambda row: str(len(row[1]))),
         number_column("share", lambda row: f"{100 * len(row[1]) / total:.1f} %"),
@@ -199,7 +199,7 @@ def print_scatter(found: Scatter) -> None:
     print_lines([f"Scatter of {found.problem}, standard deviations: {told}.", _lasts(found)])
     for reason, count in found.reasons.items():
         print_lines([f"{count} of {found.lost}: {reason}."])
-    columns: list[Column[ScatterRow]] = [
+    columns: list[TableColumn[ScatterRow]] = [
         name_column("quantity", lambda row: with_unit(row.name, f"[{row.unit}]")),
         number_column("orbit", lambda row: f"{row.orbit:.6g}"),
         number_column("linear", lambda row: f"{row.linear:.3g}"),
@@ -234,7 +234,7 @@ def print_stability(found: Stability) -> None:
         print_lines(["No multipliers: every period passes a section that is a point."])
     else:
         rows = list(zip(found.values, found.errors, strict=True))
-        columns: list[Column[tuple[complex, float]]] = [
+        columns: list[TableColumn[tuple[complex, float]]] = [
             text_column("multiplier", lambda row: shown_multipliers(row[:1], row[1], 7)),
             number_column("modulus", lambda row: shown_multiplier(abs(row[0]), row[1], 7)),
             number_column("error", lambda row: f"{row[1]:.0e}"),
@@ -254,7 +254,7 @@ def _print_return_map(found: Stability) -> None:
         name = found.coordinates[k]
         return with_unit(name, f"[{found.units[name]}]")
 
-    def number(k: int) -> Column[int]:
+    def number(k: int) -> TableColumn[int]:
         return number_column(f"per {heading(k)}", lambda row: f"{found.jacobian[row, k]:.6g}")
 
     rows = range(len(found.coordinates))
@@ -281,7 +281,7 @@ def print_feedback(found: Feedback, extents: Mapping[str, tuple[float, float]]) 
         ]
     )
 
-    def coefficient(k: int) -> Column[int]:
+    def coefficient(k: int) -> TableColumn[int]:
         name = found.measured[k]
         heading = with_unit(name, f"[{known.units[name]}]") if name in known.units else name
         return number_column(f"per {heading}", lambda row: f"{found.gain[row, k]:.6g}")
@@ -302,7 +302,7 @@ def print_feedback(found: Feedback, extents: Mapping[str, tuple[float, float]]) 
     print_lines([f"Multipliers without it: {before}", f"Multipliers with it:    {after}"])
     print_lines(_ends_of_ranges(found))
     if extents:
-        columns: list[Column[str]] = [
+        columns: list[TableColumn[str]] = [
             name_column("coordinate", lambda name: name),
             number_column("in the orbit", lambda name: _in_orbit(found, name)),
             number_column("returns from", lambda name: _disturbed(found, name, extents[name][0])),
@@ -330,7 +330,7 @@ def print_reading_errors(
     units = {**known.units, **known.problem.units}
     given = ", ".join(f"{name} {value:g} {known.units[name]}" for name, value in errors.items())
     print_lines([f"Errors of readings: {given}"])
-    columns: list[Column[str]] = [
+    columns: list[TableColumn[str]] = [
         name_column("quantity", lambda name: name),
         number_column("shifted, if constant", lambda name: f"{offset[name]:.4g}"),
         number_column("scatter, if random", lambda name: f"{scatter[name]:.4g}"),
@@ -415,7 +415,7 @@ def print_basin(proof: Proof, sampled: Recovery | None) -> None:
     name = "The set of initial states" if proof.basin_box else "Box 1"
     print_lines(["", f"{name} beside the sampled ball, whose half-widths are estimates:"])
     contained, halves = box.contained(), proof.initial_states
-    columns: list[Column[str]] = [
+    columns: list[TableColumn[str]] = [
         text_column("state", lambda row: row),
         text_column("contained in the set", lambda row: contained[row]),
         number_column("ball", lambda row: f"+- {sampled.extents[row]:.3g}"),
@@ -440,7 +440,7 @@ def print_families(found: Continuation) -> None:
     for family in found.families:
         _print_family(family)
     if found.boundaries:
-        columns: list[Column[SpecialCurve]] = [
+        columns: list[TableColumn[SpecialCurve]] = [
             text_column("boundary", lambda one: one.kind.value),
             number_column("points", lambda one: str(len(one.x))),
             text_column("in", lambda one: ", ".join(one.names)),
@@ -464,7 +464,7 @@ def print_held_families(held: HeldFamilies) -> None:
     print_lines([f"Feedback by {', '.join(held.inputs)} keeps {len(kept)} of {orbits}."])
     if not every:
         return
-    columns: list[Column[HeldPoint]] = [
+    columns: list[TableColumn[HeldPoint]] = [
         number_column(name, lambda one: f"{one.value:.9g}"),
         number_column("period [s]", lambda one: f"{one.period:.9g}"),
         number_column("radius without", lambda one: f"{one.spectral_radius:.6g}"),
@@ -492,7 +492,7 @@ def _print_family(family: Family) -> None:
     stable = sum(point.stable for point in family.points)
     orbits = counted(len(family.points), "orbit")
     print_lines([f"Family in {name}{returns}: {orbits}, {stable} stable."])
-    columns: list[Column[SpecialPoint]] = [
+    columns: list[TableColumn[SpecialPoint]] = [
         text_column("point", lambda one: one.kind.value),
         number_column(name, lambda one: f"{one.at.value:.12g}"),
         number_column("error", lambda one: f"{one.error:.0e}" if one.kind.located else ""),

@@ -53,7 +53,7 @@ from zeno_orbits.simulation import (
     growth_of,
     simulated_at_most,
     state_after,
-    watched,
+    watched_motion,
     without_events,
 )
 
@@ -236,7 +236,7 @@ def _require_flight(problem: Problem, graph: GraphDynamics, motion: Execution) -
 
 def _pieces(graph: GraphDynamics, x: Vector, until: float) -> Iterator[Piece]:
     """Yield the pieces in which a motion goes on from a state of it."""
-    for piece in watched(graph, x, until=until, error=_ROUGH, goes_on=True):
+    for piece in watched_motion(graph, x, until=until, error=_ROUGH, goes_on=True):
         if isinstance(piece, Piece):
             yield piece
 

@@ -12,7 +12,7 @@ from zeno_orbits.loop import (
     GraphFormulas,
     GraphProgram,
     Program,
-    Side,
+    SwitchSide,
     UnknownOperationError,
     View,
     binding,
@@ -117,7 +117,7 @@ def whole_program(compiled: CompiledGraph) -> GraphProgram | str:
     n_modes = 2 ** (n_stops + n_kinks)
     if n_modes > _MOST_MODES:
         return f"it has {n_modes} modes, and at most {_MOST_MODES} are exported"
-    views, sides = dict[View, Program](), dict[Side, ModeFunctions]()
+    views, sides = dict[View, Program](), dict[SwitchSide, ModeFunctions]()
     try:
         for branches in product((True, False), repeat=n_kinks):
             for closed in _subsets(n_stops):
@@ -126,7 +126,7 @@ def whole_program(compiled: CompiledGraph) -> GraphProgram | str:
                     views[view] = _view(compiled, view)
                 for switch, positive in product(range(len(graph.switch_names)), (True, False)):
                     mode = compiled.guard((closed, branches), switch, positive)
-                    sides[Side(closed, branches, switch, positive)] = mode
+                    sides[SwitchSide(closed, branches, switch, positive)] = mode
         program.add(views, sides)
     except UnknownOperationError as error:
         return f"of a formula: {error}"
@@ -167,7 +167,7 @@ def _view(compiled: CompiledGraph, view: View) -> Program:
     return program
 
 
-def add_asked(compiled: CompiledGraph, program: GraphProgram, asked: View | Side) -> None:
+def add_asked(compiled: CompiledGraph, program: GraphProgram, asked: View | SwitchSide) -> None:
     """Add what a run asks for to the tables of a program, unless they have it.
 
     Args:

@@ -12,7 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.loop import Record, TangentProgram, Track, View, binding, program_of, tangent_of
+from zeno_orbits.loop import (
+    LoopRecord,
+    TangentProgram,
+    Track,
+    View,
+    binding,
+    program_of,
+    tangent_of,
+)
 from zeno_orbits.simulation.derivatives.sensitivity import SaltationDerivative, VariationalEquation
 from zeno_orbits.simulation.derivatives.state_transition import courses, trusted
 from zeno_orbits.simulation.execution import Arc, Execution, Mode
@@ -49,7 +57,7 @@ class RecordedArcs:
     """
 
     view: View
-    record: Record
+    record: LoopRecord
     joins: bool
 
     def followed(
@@ -158,7 +166,7 @@ def course_of_arc(
 
 
 def _tracked(
-    perturbations: VariationalEquation, record: Record
+    perturbations: VariationalEquation, record: LoopRecord
 ) -> tuple[TangentProgram, Track] | None:
     """Return the derivatives of the arcs of a record, if the loop has them."""
     formulas = perturbations.dynamics.formulas
