@@ -31,9 +31,9 @@ from zeno_orbits.experiment.rig.cycle_comparison import (
     orbit_curve,
 )
 from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.declared.rig_parts import Contact, Controller, PwmSettings, Rig
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.model.rig_parts import Contact, Controller, PwmSettings, Rig
 from zeno_orbits.orbits.orbit import Orbit
 from zeno_orbits.orbits.orbit_file import read_orbit
 from zeno_orbits.search import orbit_by_shooting

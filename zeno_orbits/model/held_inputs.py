@@ -17,6 +17,8 @@ from typing import Any, cast
 import casadi as ca
 
 from zeno_orbits.errors import InputError, did_you_mean, finite_number
+from zeno_orbits.model.declared.quantities import Quantity, unknown
+from zeno_orbits.model.declared.starts import Start
 from zeno_orbits.model.drives.auxiliary import Auxiliary
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.drives.holds import Hold, require_event
@@ -25,8 +27,6 @@ from zeno_orbits.model.graph import hybrid_system
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.library import bundled_problems, split_fidelity
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.model.quantities import Quantity, unknown
-from zeno_orbits.model.starts import Start
 from zeno_orbits.model.stops import Switch
 
 HELD, NEXT, CENTRE = "held", "next", "centre"

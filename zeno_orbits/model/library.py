@@ -25,10 +25,10 @@ from zeno_orbits.errors import (
     others_beside,
     shortened,
 )
+from zeno_orbits.model.declared.origin import with_origin
+from zeno_orbits.model.declared.quantities import unknown
 from zeno_orbits.model.mistakes import account_of
-from zeno_orbits.model.origin import with_origin
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.model.quantities import unknown
 from zeno_orbits.work import others_may_write, read_object
 
 _MOST = 16

@@ -21,14 +21,9 @@ from zeno_orbits.arrays import Vector, finite_vector
 from zeno_orbits.errors import InputError, finite_number, named_numbers, number_range
 from zeno_orbits.model.acceleration import accelerate
 from zeno_orbits.model.contact import require_zeno_points
-from zeno_orbits.model.drawing import DrawingFunction, lines_of
-from zeno_orbits.model.expressions.formula_units import unit_of
-from zeno_orbits.model.expressions.units import energy_unit, require_coherent
-from zeno_orbits.model.hybrid import CompletedSystem
-from zeno_orbits.model.mistakes import place_in_file
-from zeno_orbits.model.modes import ModeGraph
-from zeno_orbits.model.origin import Declared, Origin
-from zeno_orbits.model.quantities import (
+from zeno_orbits.model.declared.drawing import DrawingFunction, lines_of
+from zeno_orbits.model.declared.origin import Declared, Origin
+from zeno_orbits.model.declared.quantities import (
     Output,
     ParameterValues,
     Quantity,
@@ -40,8 +35,13 @@ from zeno_orbits.model.quantities import (
     restitution,
     unknown,
 )
-from zeno_orbits.model.rig_parts import Rig
-from zeno_orbits.model.starts import Start, require_starts, state_of
+from zeno_orbits.model.declared.rig_parts import Rig
+from zeno_orbits.model.declared.starts import Start, require_starts, state_of
+from zeno_orbits.model.expressions.formula_units import unit_of
+from zeno_orbits.model.expressions.units import energy_unit, require_coherent
+from zeno_orbits.model.hybrid import CompletedSystem
+from zeno_orbits.model.mistakes import place_in_file
+from zeno_orbits.model.modes import ModeGraph
 from zeno_orbits.model.validation import (
     built,
     require_known_symbols,

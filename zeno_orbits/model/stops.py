@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 
 from zeno_orbits.model.contact import ImpactLaw
+from zeno_orbits.model.declared.quantities import require_unit
 from zeno_orbits.model.expressions.operations import expand_calls
-from zeno_orbits.model.quantities import require_unit
 from zeno_orbits.work import Checked
 
 

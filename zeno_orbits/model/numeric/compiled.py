@@ -20,6 +20,7 @@ from zeno_orbits.model.contact import (
     ContactQuantities,
     ImpactLaw,
 )
+from zeno_orbits.model.declared.starts import Starts, no_starts
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.numeric.calls import Call
 from zeno_orbits.model.numeric.compiled_flow import (
@@ -33,7 +34,6 @@ from zeno_orbits.model.numeric.differentials import (
 )
 from zeno_orbits.model.numeric.known_scales import KnownScales
 from zeno_orbits.model.scale import CharacteristicScales
-from zeno_orbits.model.starts import Starts, no_starts
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import FlowWithEvent
 from zeno_orbits.model.contact import MULTIPLIER_RATE
+from zeno_orbits.model.declared.starts import Starts
 from zeno_orbits.model.domains import undefined_ahead
 from zeno_orbits.model.drives.waveforms import LEAST_PART
 from zeno_orbits.model.friction import FORCED
@@ -39,7 +40,6 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.numeric.known_scales import KnownScales
 from zeno_orbits.model.numeric.own_scale import own_scale
 from zeno_orbits.model.scale import CharacteristicScales
-from zeno_orbits.model.starts import Starts
 from zeno_orbits.model.stops import continuous_arming
 
 _ZERO = 1e-12

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, finite_number, named_numbers, shown
-from zeno_orbits.model.quantities import unknown
+from zeno_orbits.model.declared.quantities import unknown
 
 StartFormula = Callable[[Mapping[str, float]], float]
 """Function from the values of gains and parameters by name to the initial value of a state."""

@@ -14,7 +14,7 @@ from enum import Enum
 from typing import Any, ClassVar
 
 from zeno_orbits.errors import InputError, did_you_mean, not_known
-from zeno_orbits.model.quantities import Quantity, positive
+from zeno_orbits.model.declared.quantities import Quantity, positive
 from zeno_orbits.work import require_kinds
 
 

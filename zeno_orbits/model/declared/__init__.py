@@ -1,0 +1,1 @@
+"""Parts of a problem that a user declares: its file, quantities, starts, drawing and rig."""
