@@ -19,12 +19,18 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, ProblemFile, load_problem
 from zeno_orbits.proof.checker.balls import Ball, NotProved, entries, fitting_together, number
 from zeno_orbits.proof.checker.branch_verdict import BranchTheorem, BranchVerdict, CheckedRange
-from zeno_orbits.proof.checker.certificate import passage_of, problem_of_certificate, read_machine
+from zeno_orbits.proof.checker.certificate import (
+    passage_of,
+    problem_of_certificate,
+    read_data,
+    read_machine,
+    require_form,
+)
 from zeno_orbits.proof.checker.claims import Passage, show
 from zeno_orbits.proof.checker.lanes import require_rounding
 from zeno_orbits.proof.checker.section import Box, ContactSection
 from zeno_orbits.proof.checker.system import System
-from zeno_orbits.work import ExecutionPlan, FailedPoint, Progress, checked, parallel_map, read_json
+from zeno_orbits.work import ExecutionPlan, FailedPoint, Progress, checked, parallel_map
 from zeno_orbits.work import silent as without_reports
 
 BRANCH_KIND = "zeno_orbits branch proof"
@@ -35,7 +41,6 @@ _TOP = (
 _OPTIONAL = ("problem_file", "machine")
 _RANGE = ("value", "radius", "pass", "claims")
 _CLAIMS = ("exists", "unique", "stable", "repelling", "multipliers", "period")
-_BITS = range(64, 1025)
 _MOST_RANGES, _MOST_RECORDS, _MOST_CLAIMS = 100_000, 50_000, 100
 
 
@@ -115,21 +120,13 @@ def is_branch(data: Any) -> bool:
 
 
 def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
-    data: Any = certificate
-    if not isinstance(certificate, Mapping):
-        path = Path(certificate)
-        try:
-            data = read_json(path)
-        except ValueError as error:
-            raise InputError(f"File `{path}` is not a certificate ({error}).") from None
+    data: Any = read_data(certificate)
     if not is_branch(data):
         remedy = "Make one with `zeno-orbits prove ORBIT.json --branch NAME=LOW:HIGH -o FILE`"
         raise InputError(f"The input is not the certificate of a branch. {remedy}.")
     entries(data, *_TOP, *(name for name in _OPTIONAL if name in data))
-    bits, ranges = data["bits"], data["ranges"]
-    if data["format"] != 2 or type(bits) is not int or bits not in _BITS:
-        known = "The certificate must be of format 2 and of 64 to 1024 bits"
-        raise InputError(f"{known}. Prove the branch again with `zeno-orbits prove`.")
+    require_form(data, BRANCH_KIND, "branch")
+    ranges = data["ranges"]
     if not all(isinstance(data.get(key, ""), str) for key in ("problem", "problem_file", "branch")):
         raise InputError("The certificate's names must be texts.")
     if data["branch"] not in data["parameters"]:

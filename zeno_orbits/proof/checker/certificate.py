@@ -136,22 +136,49 @@ def check_proof(
 _KIND = "zeno_orbits proof"
 
 
-def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
-    if not isinstance(certificate, Mapping):
-        path = Path(certificate)
-        try:
-            certificate = read_json(path)
-        except ValueError as error:
-            raise InputError(f"File `{path}` is not a certificate ({error}).") from None
-        if not isinstance(certificate, dict) or certificate.get("kind") != _KIND:
-            remedy = "Make one with `zeno-orbits prove ORBIT.json -o FILE`"
-            raise InputError(f"File `{path}` is not a certificate. {remedy}.")
-    data = cast("Mapping[str, Any]", certificate)
-    entries(data, *_TOP, *(name for name in _OPTIONAL if name in data))
-    kind, bits = (data["format"], data["kind"]), data["bits"]
-    if kind != (2, _KIND) or type(bits) is not int or bits not in _BITS:
+def read_data(certificate: str | Path | Mapping[str, Any]) -> Any:
+    """Return the data of a certificate or its file, unchecked.
+
+    Args:
+        certificate: The data, or a path of their file.
+
+    Raises:
+        InputError: If the file does not hold data.
+    """
+    if isinstance(certificate, Mapping):
+        return certificate
+    try:
+        return read_json(Path(certificate))
+    except ValueError as error:
+        raise InputError(f"File `{Path(certificate)}` is not a certificate ({error}).") from None
+
+
+def require_form(data: Mapping[str, Any], kind: str, theorem: str) -> None:
+    """Refuse another format or accuracy of a certificate.
+
+    Args:
+        data: The certificate.
+        kind: Its kind.
+        theorem: What it proves, for the remedy.
+
+    Raises:
+        InputError: If it is of another kind, format or number of bits.
+    """
+    bits = data["bits"]
+    if (data["format"], data["kind"]) != (2, kind) or type(bits) is not int or bits not in _BITS:
         known = "The certificate must be of format 2 and of 64 to 1024 bits"
-        raise InputError(f"{known}. Prove the orbit again with `zeno-orbits prove`.")
+        raise InputError(f"{known}. Prove the {theorem} again with `zeno-orbits prove`.")
+
+
+def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
+    found = read_data(certificate)
+    data = cast("Mapping[str, Any]", found)
+    is_one = isinstance(found, dict) and data.get("kind") == _KIND
+    if not (is_one or isinstance(certificate, Mapping)):
+        remedy = "Make one with `zeno-orbits prove ORBIT.json -o FILE`"
+        raise InputError(f"File `{Path(certificate)}` is not a certificate. {remedy}.")
+    entries(data, *_TOP, *(name for name in _OPTIONAL if name in data))
+    require_form(data, _KIND, "orbit")
     for name in ("problem", "problem_file"):
         if not isinstance(data.get(name, ""), str):
             told = f"must be a text, but it is {shown(data[name])}"
