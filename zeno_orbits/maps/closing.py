@@ -6,7 +6,7 @@ by the reference, which serves all other machines and whatever the loop leaves t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -109,8 +109,14 @@ def orbit_by_loop(
     change = chart.lift @ (inverse_where_moved(np.eye(len(slope)) - slope) @ off)
     least = min(len(slope), _least_dimension(graph, found, events, names))
     multipliers = eigenvalues(slope)[:least]
+    best = next(one for one in starts if one in names)
     return ClosedOrbit(
-        attractor=_attractor(graph, found, events, multipliers, change, starts),
+        attractor=replace(
+            orbit_from(graph, events, best, lambda k: _after(found, events[k])[2:] @ change),
+            period=found.period + float(_after(found, events[-1])[0] @ change),
+            multipliers=multipliers,
+            margins=_margins(graph, found.period, events),
+        ),
         n_returns=names.count(section),
         chart=replace(chart, centre=found.start + change),
         slope=slope,
@@ -196,30 +202,32 @@ def _least_dimension(
     )
 
 
-def _attractor(
+def orbit_from(
     graph: GraphDynamics,
-    found: ClosedRecord,
     events: Sequence[Event],
-    multipliers: tuple[complex, ...],
-    change: Vector,
-    starts: Sequence[str],
+    section: str,
+    moved: Callable[[int], Vector],
+    begin: int = 0,
 ) -> Attractor:
-    """Return an orbit from the best of its starts."""
+    """Return the kind, start and sequence of an orbit, from the last event of a section.
+
+    Args:
+        graph: The graph of modes.
+        events: The events of a return near the orbit.
+        section: Name of an event among them.
+        moved: Function from the index of an event to the correction of the state after it,
+            ``(n_x,)``.
+        begin: Number of events at the start itself, which the end repeats.
+    """
     names = [orbit_event_name(event) for event in events]
-    name = next(one for one in starts if one in names)
-    place = max(k for k, one in enumerate(names) if one == name)
-    moved = _after(found, events[place])[2:] @ change
+    place = max(k for k, one in enumerate(names) if one == section)
+    state = state_after(events[place]) + moved(place)
     kind = kind_of_events([(one, event.time) for one, event in zip(names, events, strict=True)])
     return Attractor(
         fate=AttractorClass(kind),
-        returns=names.count(name),
-        period=found.period + float(_after(found, events[-1])[0] @ change),
-        multipliers=multipliers,
-        margins=_margins(graph, found.period, events),
-        state=dict(
-            zip(graph.state_names, (state_after(events[place]) + moved).tolist(), strict=True)
-        ),
-        sequence=sequence_of([*names[place + 1 :], *names[: place + 1]]),
+        returns=names[begin:].count(section),
+        state=dict(zip(graph.state_names, state.tolist(), strict=True)),
+        sequence=sequence_of([*names[place + 1 :], *names[begin : place + 1]]),
     )
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.maps.approach import Accuracy
-from zeno_orbits.maps.attractors import Attractor, AttractorClass
-from zeno_orbits.maps.closing import ClosedOrbit, orbit_by_loop
+from zeno_orbits.maps.attractors import Attractor
+from zeno_orbits.maps.closing import ClosedOrbit, orbit_by_loop, orbit_from
 from zeno_orbits.model import GraphDynamics
 from zeno_orbits.orbits import (
     EventReturn,
@@ -32,12 +32,10 @@ from zeno_orbits.orbits import (
     inverse_of_closing,
     inverse_where_moved,
     kept_section,
-    kind_of_events,
     largest_states,
     multipliers_of_return,
     orbit_event_name,
     phases_of_events,
-    sequence_of,
     shortest_return,
 )
 from zeno_orbits.simulation import (
@@ -190,22 +188,20 @@ def _attractor(
         change: Correction of its start, ``(n_x,)``.
         starts: Events at which a period starts, the best first.
     """
-    names, begin = [orbit_event_name(event) for event in found.events], _begin(found)
+    names = {orbit_event_name(event) for event in found.events}
     told = [one for one in starts if one in names]
     name = (told or usual_sections(graph, found.events))[0]
-    place = max(k for k, one in enumerate(names) if one == name)
-    kind = kind_of_events([(orbit_event_name(event), event.time) for event in found.events])
     n_x, n = len(change), len(found.events)
     after = [one[2] for passage in found.passages for one in passage.crossings][:n]
-    state = state_after(found.events[place]) + after[place].state[:, :n_x] @ change
-    return Attractor(
-        fate=AttractorClass(kind),
-        returns=names[begin:].count(name),
+
+    def moved(place: int) -> Vector:
+        return after[place].state[:, :n_x] @ change
+
+    return replace(
+        orbit_from(graph, found.events, name, moved, _begin(found)),
         period=found.period + float(after[-1].time[:n_x] @ change),
         multipliers=multipliers,
         margins=_margins(graph, found),
-        state=dict(zip(graph.state_names, state.tolist(), strict=True)),
-        sequence=sequence_of([*names[place + 1 :], *names[begin : place + 1]]),
     )
 
 
