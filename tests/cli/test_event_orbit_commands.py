@@ -327,6 +327,7 @@ def test_search_of_one_stop_accepts_objectives_and_bounds_about_impacts() -> Non
     assert json.loads(Path("shaped.json").read_text())["shape"] == "zeno"
 
 
+@pytest.mark.slow
 def test_objectives_about_impacts_refuse_a_machine_without_them() -> None:
     # A ball that is dropped on the ground comes to rest.
     ball = ("search", "bouncing_ball", "--vary", "restitution=0.4:0.6", "--objective", "impacts")

@@ -275,6 +275,7 @@ def test_values_far_from_all_others_are_named_and_large_true_values_are_not(
     assert not any("far from all" in one for one in known.remarks)
 
 
+@pytest.mark.slow
 def test_the_recording_of_another_problem_is_told_first(
     orbit: Orbit, problem: Problem, table: OrbitTable
 ) -> None:

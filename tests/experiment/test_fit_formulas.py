@@ -128,6 +128,7 @@ def test_a_layer_is_left_out_as_a_jump_is(
     assert masked.seen[:, :2].all()
 
 
+@pytest.mark.slow
 def test_means_over_stretches_are_predicted_as_means(table: OrbitTable, problem: Problem) -> None:
     data, _ = samples(table, problem, 30.2, 2000.0, 0.0)
     assert data.counts.sum() / 3 > MOST

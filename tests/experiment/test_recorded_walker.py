@@ -58,6 +58,7 @@ def test_the_heel_strike_and_the_step_are_those_of_rigid_bodies() -> None:
     assert second[0] - first[0] == pytest.approx(orbit.period, abs=2e-5)
 
 
+@pytest.mark.slow
 def test_unlike_legs_under_the_same_controller_show_an_orbit_with_other_values() -> None:
     parts = walked(Walker(legs=UNLIKE), START, 10, 200.0)
     found = zo.compare(_orbit(), _recording(parts))
@@ -68,6 +69,7 @@ def test_unlike_legs_under_the_same_controller_show_an_orbit_with_other_values()
     assert found.metric("period").data == pytest.approx(mean, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_same_legs_under_another_controller_do_not_show_the_orbit() -> None:
     other = walked(Walker(legs=UNLIKE, gains=OTHERS), START, 10, 200.0)
     found = zo.compare(_orbit(), _recording(other))

@@ -367,6 +367,7 @@ def test_a_sampled_disc_moves_as_matrix_exponentials_say(delay: float) -> None:
     assert run.states[-1] == pytest.approx(y[:3], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_fast_sampling_tends_to_the_feedback_of_the_model_at_first_order() -> None:
     gains = {"V0": 3.0, "Kp": 4.0, "Kd": 0.3}
 

@@ -51,6 +51,7 @@ def _fit(seed: int, e: float, scatter: float, n: int = 1) -> zo.Identification:
     return zo.identify("bouncing_ball", drops, ["restitution"], transient=True)
 
 
+@pytest.mark.slow
 def test_one_scattering_drop_has_an_interval_as_wide_as_its_few_impacts_allow() -> None:
     found = _fit(4, 0.75, 0.03)
     (one,) = found.fitted
@@ -92,6 +93,7 @@ def test_a_drop_without_scatter_keeps_the_interval_of_its_samples() -> None:
     assert one.high - one.low < 2e-3
 
 
+@pytest.mark.slow
 def test_late_impacts_that_scatter_shifts_far_count_as_scattered() -> None:
     """The recorded motion is over before the last impacts of the mean restitution."""
     seen = (-0.16, 0.03, -0.11, -0.07, 0.03, 0.08, 0.15)

@@ -102,6 +102,7 @@ def test_times_of_a_microphone_are_laid_over_a_video() -> None:
     assert one.low < E < one.high
 
 
+@pytest.mark.slow
 def test_a_comparison_takes_a_second_file_too() -> None:
     found = zo.compare_transient(
         "bouncing_ball", _first(), second_file=_second(), parameters={"restitution": E}

@@ -123,6 +123,7 @@ def test_the_sensitivities_of_a_flight_are_those_of_its_closed_form() -> None:
     assert by_height == pytest.approx(1 / math.sqrt(2 * G * 0.5), rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_law_of_the_speed_is_told_from_a_constant_restitution(seed: int) -> None:
     wrong, right = (
@@ -141,6 +142,7 @@ def test_a_law_of_the_speed_is_told_from_a_constant_restitution(seed: int) -> No
     assert not structure_left(right)
 
 
+@pytest.mark.slow
 def test_two_drops_share_their_restitution_and_not_their_starts() -> None:
     drops = [
         track(TIMES, noisy(heights(TIMES, (0.7, 0.0), height), 0.003, seed))
@@ -317,6 +319,7 @@ def test_a_comparison_tells_right_from_wrong_values_impact_by_impact() -> None:
     assert str(wrong.as_json()["verdict"]).startswith("structure is left")
 
 
+@pytest.mark.slow
 def test_settled_recordings_are_still_compared_with_orbits() -> None:
     motion = zo.simulate("vibrating_table", until=10.0)
     recording = zo.sample_execution("vibrating_table", motion, rate=400.0, noise=0.002, seed=1)
@@ -419,6 +422,7 @@ def test_recordings_that_show_no_drop_are_refused(recording: zo.Recording, messa
     assert message in str(error.value)
 
 
+@pytest.mark.slow
 def test_events_without_a_law_leave_structure() -> None:
     random = np.random.default_rng(1)
     rows: list[Row] = [np.sort(random.uniform(0.0, 5.0, 15)), 1.0 + 0.3 * np.arange(12.0)]
@@ -514,6 +518,7 @@ def test_a_velocity_with_hidden_impacts_leads_to_the_true_optimum(seed: int) -> 
             assert abs(one.value - truth[one.unknown.label]) < 4 * one.error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held", [0.0, 0.06, 0.25])
 def test_samples_before_the_release_are_named_with_the_time_that_leaves_them_out(
     held: float,

@@ -76,6 +76,7 @@ SHAPES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", fast(2, SHAPES))
 @pytest.mark.parametrize("name", fast(1, GAPS))
 def test_a_periodic_signal_of_another_kind_is_no_orbit(name: str, shape: str) -> None:
@@ -117,6 +118,7 @@ OTHERS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "parameter", "value", "differing"), fast(1, OTHERS))
 def test_a_machine_with_other_values_is_named_as_such(
     name: str, parameter: str, value: float, differing: set[str]

@@ -85,6 +85,7 @@ def _hostile(
     return write_files(tmp_path, contents)
 
 
+@pytest.mark.slow
 def test_files_of_every_kind_are_sound_but_for_the_problem(tmp_path: Path) -> None:
     """Otherwise the checks below would end at another entry."""
     files = write_files(tmp_path, contents_by_kind("forced_oscillator"))

@@ -262,6 +262,7 @@ def test_a_constraint_leaves_the_own_time_of_an_oscillation_under_a_slow_clock(
     assert times[0] == pytest.approx(times[1], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_zeno_points_of_the_transient_do_not_hide_an_orbit_of_impacts() -> None:
     numbers = {"restitution": 0.45}
     # The voltage never reaches this limit.

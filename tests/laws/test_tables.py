@@ -145,6 +145,7 @@ def test_a_table_has_the_values_of_its_kind() -> None:
         assert ends == pytest.approx(values.tolist(), abs=1e-14)
 
 
+@pytest.mark.slow
 def test_a_table_of_two_arguments_is_a_table_in_each() -> None:
     rng = np.random.default_rng(4)
     first, second = np.cumsum(rng.uniform(0.1, 1, 7)), np.cumsum(rng.uniform(0.1, 1, 5))

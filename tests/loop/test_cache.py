@@ -133,6 +133,7 @@ def test_a_broken_compiler_is_one_line_and_leaves_nothing_behind(
     assert {path.name for path in (tmp_path / "kernels").iterdir()} <= {".loop-lock"}
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_compilation_is_announced_and_its_time_left_told(tmp_path: Path) -> None:
     # A library from elsewhere stands for a compiler that takes a while.

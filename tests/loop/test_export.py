@@ -131,6 +131,7 @@ PROBLEM = machine_of(model, {"x": "m", "v": "m/s"})
 """
 
 
+@pytest.mark.slow
 def test_a_machine_without_events_and_parameters_is_strict_c() -> None:
     Path("smooth.py").write_text(SMOOTH)
     assert _events_of("smooth.py", "--until", "5") == []

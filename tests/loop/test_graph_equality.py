@@ -129,6 +129,7 @@ def require_agreement(
     return found
 
 
+@pytest.mark.slow
 def test_elastic_impacts_on_several_stops_are_the_same() -> None:
     start = {"q0": 1.0, "q1": 2.0, "v1": -1.0}
     run = require_agreement(BLOCKS, 50.0, {"M": 2500.0}, EXPLICIT, 0.0, start=start)
@@ -140,6 +141,7 @@ def test_elastic_impacts_on_several_stops_are_the_same() -> None:
     assert not run.zeno_points
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", [RungeKutta(), Radau()], ids=["explicit", "implicit"])
 @pytest.mark.parametrize("half_periods", fast(1, [2, 4, 5]))
 @pytest.mark.parametrize("name", fast(1, ["relay", "relay_soft"]))

@@ -55,6 +55,7 @@ def test_a_refined_map_is_the_full_map_of_the_finest_grid() -> None:
     assert len(coarse.attractors) + len(coarse.between) < 0.6 * len(full.attractors)
 
 
+@pytest.mark.slow
 def test_a_refined_point_is_the_attractor_of_its_own_state() -> None:
     found = spring_map(refine=2)
     x, y, _ = found.finest()

@@ -93,6 +93,7 @@ def test_a_repelling_orbit_is_held_for_a_thousand_periods(repelling: zo.Orbit) -
     assert max(away[:8]) > 0.3
 
 
+@pytest.mark.slow
 def test_files_and_commands_take_the_machine(repelling: zo.Orbit, here: Path) -> None:
     zo.write_orbit(repelling, "orbit.json")
     words = ("feedback", "orbit.json", "--input", "Kd=-1.83:-1.33")
@@ -177,6 +178,7 @@ def test_a_wrong_law_is_named(changed: dict[str, Any], told: str) -> None:
     assert told in str(error.value)
 
 
+@pytest.mark.slow
 def test_an_input_of_a_switching_time_is_refused_as_a_state() -> None:
     found = zo.design_feedback(event_orbit("relay_soft"), ["t1"])
     with pytest.raises(InputError, match="`t1` determines a switching time of a waveform"):

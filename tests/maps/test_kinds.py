@@ -68,6 +68,7 @@ def agrees(machine: Oscillator, found: Attractor, turns: int) -> bool | None:
     return (found.kind, found.turns, found.fate) == (AttractorKind.REPEATS, period, fate)
 
 
+@pytest.mark.slow
 def test_random_machines_have_the_periods_of_exact_flights() -> None:
     drawn = random.Random(3)
     machines = [machine_of(drawn) for _ in range(4)]

@@ -59,6 +59,7 @@ def test_a_long_run_that_has_not_settled_is_excused_only_if_it_moves_as_the_map_
     assert map_agreement._tell([one], as_json=False) == code
 
 
+@pytest.mark.slow
 def test_a_cell_beside_another_fate_is_near_a_boundary() -> None:
     plane = Plane(
         source=locate_problem("bouncing_ball"),

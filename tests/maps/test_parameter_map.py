@@ -196,6 +196,7 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPat
 # ---------------------------------------------------------------------------- problems by path
 
 
+@pytest.mark.slow
 def test_a_problem_from_a_file_is_loaded_by_the_workers_themselves(tmp_path: Path) -> None:
     problem = tmp_path / "ball.py"
     shutil.copy(bundled_problems()["bouncing_ball"], problem)
@@ -235,6 +236,7 @@ def test_a_problem_that_lets_an_unknown_state_escape_is_refused() -> None:
         replace(problem, escapes={"x": StateLimit(beyond=1.0, phrase="x leaves")})
 
 
+@pytest.mark.slow
 def test_a_checkpoint_of_another_problem_of_the_same_name_is_refused(tmp_path: Path) -> None:
     problem, kept = tmp_path / "ball.py", tmp_path / "kept"
     shutil.copy(bundled_problems()["bouncing_ball"], problem)
@@ -358,6 +360,7 @@ def test_json_is_the_content_of_the_file(tmp_path: Path) -> None:
     assert answer.data == json.loads((tmp_path / "map.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_named_checkpoint_stays_and_another_map_leaves_it_alone(tmp_path: Path) -> None:
     kept, out = tmp_path / "kept", tmp_path / "map.json"
     assert ask(*BALL, "--workers", "1", "--checkpoint", kept).code == NO
@@ -369,6 +372,7 @@ def test_a_named_checkpoint_stays_and_another_map_leaves_it_alone(tmp_path: Path
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_a_checkpoint_of_the_loop_is_refused_by_the_reference(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

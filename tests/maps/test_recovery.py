@@ -109,6 +109,7 @@ def norm_of(found: zo.Recovery, change: np.ndarray) -> float:
     return float(np.sqrt(y @ found.norm @ y))
 
 
+@pytest.mark.slow
 def test_a_simulated_disturbance_decays_to_the_part_in_the_periods() -> None:
     orbit, found = of_pendulum()
     problem = zo.load_problem("motor_pendulum")

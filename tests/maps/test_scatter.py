@@ -92,6 +92,7 @@ def _sum_of_products(
 KICKED = "switch kick"
 
 
+@pytest.mark.slow
 def test_the_zeno_time_of_a_ball_has_the_deviation_of_the_delta_method() -> None:
     e, spread = 0.5, 0.1
     row = _of_ball().row(KICKED)

@@ -102,6 +102,7 @@ def law_machine_of(drawn: random.Random) -> TwoWalls:
     return replace(one, falls=(drawn.uniform(0.0, 0.02), drawn.uniform(0.0, 0.02)))
 
 
+@pytest.mark.slow
 def test_random_machines_whose_stops_have_laws_of_their_own_have_their_periods() -> None:
     drawn = random.Random(5)
     machines = [law_machine_of(drawn) for _ in range(2)]

@@ -30,6 +30,7 @@ def _step(orbit: zo.Orbit) -> float:
     return math.sin(strike["q2"]) - math.sin(strike["q1"])
 
 
+@pytest.mark.slow
 def test_an_independent_event_loop_returns_after_the_same_events_with_the_same_energy() -> None:
     orbit = _orbit()
     assert orbit.certificate["passed"]

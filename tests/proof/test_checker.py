@@ -139,6 +139,7 @@ def _claim(certificate: Certificate, name: str) -> Any:
     return next(claim for claim in certificate["claims"] if claim["name"] == name)
 
 
+@pytest.mark.slow
 def test_the_other_states_may_be_looked_for_around_another_place(zeno: Certificate) -> None:
     # The sine is 0.6: a thousandth beside it, Newton's first step is off by 8e-7, and must be
     # enclosed on the whole way from there.

@@ -527,6 +527,7 @@ def test_a_release_where_only_the_problems_multiplier_vanishes_is_refused(shift:
     assert "section" in _refusal(certificate, other)
 
 
+@pytest.mark.slow
 def test_a_proof_asks_neither_for_the_locked_flow_nor_for_the_length_of_the_impulse_direction(
     zeno: Certificate,
 ) -> None:

@@ -39,6 +39,7 @@ def _is_that_of_the_forced_oscillator(proof: Proof) -> None:
     assert zeno.width < 1e-15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "problem",
     fast(

@@ -68,6 +68,7 @@ def hopper() -> Proof:
     return zo.prove(event_orbit("hopper"))
 
 
+@pytest.mark.slow
 def test_stops_and_switches_that_are_not_met_change_no_digit(
     machine: Problem, proof: Proof
 ) -> None:
@@ -120,6 +121,7 @@ def test_an_orbit_is_not_proved_if_another_stop_or_switch_is_met(
     assert not found.proved
 
 
+@pytest.mark.slow
 def test_the_hoppers_speed_and_period_are_those_of_its_closed_form(hopper: Proof) -> None:
     assert hopper.proved, hopper.verdict()
     assert hopper.bounds is not None

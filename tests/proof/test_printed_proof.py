@@ -133,6 +133,7 @@ def test_the_point_of_a_section_without_coordinates_is_printed_with_its_states(
 SHEETS = [(name, rest) for name, one in sheets.MACHINES.items() for rest in one.rest]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "rest"), fast(1, SHEETS))
 def test_orbits_over_the_same_coordinates_have_theorems_that_name_their_sheet(
     name: str, rest: float

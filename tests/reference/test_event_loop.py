@@ -54,6 +54,7 @@ def test_a_ball_has_its_zeno_time(e: float) -> None:
     assert run.events[-1].closed == ("floor",)
 
 
+@pytest.mark.slow
 def test_two_sided_oscillators_keep_their_symmetric_orbit() -> None:
     rng = np.random.default_rng(1)
     for _ in range(8):

@@ -28,6 +28,7 @@ def _curves(page: str) -> dict[str, Any]:
     return json.loads(found[1])
 
 
+@pytest.mark.slow
 def test_the_page_tells_the_events_in_their_order_with_times_and_multipliers() -> None:
     orbit, page = event_orbit("kneed_walker"), _page("kneed_walker")
     assert "Zeno periodic orbit" in page

@@ -132,6 +132,7 @@ print(mpl.rcParams["animation.ffmpeg_path"], mpl.rcParams["font.size"])
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", fast(1, ["settings", "pipe", "nonsense"]))
 def test_settings_of_matplotlib_in_the_current_folder_are_not_obeyed(
     kind: str, tmp_path: Path

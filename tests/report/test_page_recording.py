@@ -38,6 +38,7 @@ def _section(page: str) -> str:
     return section[: section.index("</section>")]
 
 
+@pytest.mark.slow
 def test_the_section_states_the_verdict_and_the_quantities_of_compare() -> None:
     orbit, recording = event_orbit("compass_walker"), _recording(1.0)
     section = _section(zo.report_page(orbit, recording=recording))
@@ -65,6 +66,7 @@ def test_a_part_of_no_recording_is_refused() -> None:
         zo.report_page(event_orbit("compass_walker"), t_start=1.0)
 
 
+@pytest.mark.slow
 def test_the_command_names_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     zo.write_orbit(event_orbit("compass_walker"), "walk.json")

@@ -287,6 +287,7 @@ def test_a_problem_without_an_orbit_says_why() -> None:
     assert caught.value.result is closed
 
 
+@pytest.mark.slow
 def test_a_motion_that_shrinks_to_rest_is_no_orbit(problem: Problem, orbit: Orbit) -> None:
     # With so large an inductance all orbits have shrunk: the return map's fixed point is rest.
     values = problem.values(parameters={"L": 10.0})

@@ -109,6 +109,7 @@ def test_invalid_searches_are_refused(options: dict[str, Any], words: str) -> No
         _search(**{"free": {"a": (5.0, 40.0)}, **options})
 
 
+@pytest.mark.slow
 def test_a_search_from_several_starts_has_the_same_closed_forms() -> None:
     bound = zo.Bound(name="stop.impact_speed", lower=2.0)
     fixed = {"a": A, "s": S, "restitution": E}

@@ -191,6 +191,7 @@ def test_the_share_of_one_stop_is_that_of_its_list_of_events() -> None:
     assert found.asked[0]["lowest"] == pytest.approx(share, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_bound_that_no_orbit_keeps_is_answered_with_its_excess() -> None:
     bound = zo.Bound(name="first_impact_speed", lower=10.0)
     found = zo.search_event_gains(

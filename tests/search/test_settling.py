@@ -144,6 +144,7 @@ def test_a_time_to_wait_that_is_not_positive_is_refused(wrong: float) -> None:
         TransientSettings(horizon=wrong)
 
 
+@pytest.mark.slow
 def test_an_orbit_without_a_derivative_is_found_without_multipliers() -> None:
     # A root of its force meets zero at an event.
     problem = RandomMachine(seed=20).problem()

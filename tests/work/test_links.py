@@ -247,6 +247,7 @@ def test_a_command_names_the_option_that_cannot_be_written(
     assert answer.err.startswith(f"zeno-orbits: {option} {bad[option]}: ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("option", fast(1, ["--plot", "-o"]))
 def test_a_command_names_the_option_whose_disk_is_full(
     option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
