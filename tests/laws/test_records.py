@@ -131,6 +131,19 @@ def test_the_orbit_under_a_repeated_record_has_its_multipliers() -> None:
     assert orbit.certificate["passed"]
 
 
+@pytest.mark.parametrize("kind", ["linear", "cubic"])
+def test_a_record_may_decay_to_the_least_number(kind: str) -> None:
+    times = np.arange(800) * 0.01
+    inputs = np.exp(-np.arange(800.0))
+    assert 0.0 < inputs[-60] < 1e-320
+    stops = np.where(inputs < 1e-200, 0.0, inputs)
+    runs = [
+        zo.simulate(oscillator(zo.record(times, each, period=8.0, kind=kind)), until=9.0)
+        for each in (inputs, stops)
+    ]
+    assert np.array_equal(runs[0].end_state, runs[1].end_state)
+
+
 @needs_compiler
 def test_loop_and_reference_agree_in_every_bit_under_a_record() -> None:
     inputs = np.random.default_rng(2).normal(size=20)

@@ -24,6 +24,10 @@ from zeno_orbits.arrays import Vector
 _ca: Any = ca
 """CasADi, whose stubs do not know the types of these functions."""
 _OPTIONS = {"is_diff_in": [False], "never_inline": True}
+_VANISHING = 2.0**-600
+"""Share of the largest number of a row below which a number counts as zero."""
+_GUARD = 4
+"""Rows that describe the guard of a cell, before its numbers."""
 _HEAD = 6
 """Numbers before the knots in a table of the loop."""
 
@@ -61,7 +65,8 @@ class CellTable:
         name: Name for messages.
         knots: Knots in increasing order, ``(n + 1,)``. Without knots, ``(0,)``, cells are found by
             other tables.
-        columns: Numbers of every cell, ``(m, n)``.
+        columns: Numbers of every cell, ``(m, n)``. A number below 1e-180 of the largest of its row
+            counts as zero: samples that decay reach 1e-320, which no scale makes whole with 1.
         is_kinked: Whether a knot is an event. The first four columns then describe the guard of a
             cell: its knot and the coefficients of a parabola there; of phases, cosine and sine of
             the middle, and tangent and cotangent of a quarter of the cell.
@@ -75,6 +80,13 @@ class CellTable:
     is_kinked: bool = False
     refuses: bool = False
     turns: bool = False
+
+    def __post_init__(self) -> None:
+        columns = np.array(self.columns, dtype=np.float64)
+        for row in columns[_GUARD if self.knots.size else 0 :]:
+            sizes = np.abs(row)
+            row[sizes < _VANISHING * np.max(sizes)] = 0.0
+        object.__setattr__(self, "columns", columns)
 
     @property
     def n(self) -> int:
@@ -156,7 +168,7 @@ class CellTable:
             cell: Index of the cell.
             x: The value, or cosine and sine of a phase.
         """
-        first, second, third, fourth = self.numbers_of(_ca.floor(cell))[:4]
+        first, second, third, fourth = self.numbers_of(_ca.floor(cell))[:_GUARD]
         if self.turns:
             far = (x[0] + first) ** 2 + (x[1] + second) ** 2
             near = (x[0] - first) ** 2 + (x[1] - second) ** 2
