@@ -8,9 +8,7 @@ the polynomial. The flow of a mass with damping `c` shrinks every area by ``exp(
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -348,23 +346,6 @@ def test_derivatives_through_knots_are_differences_and_shrink_areas() -> None:
         # An area (speed, time) shrinks by the damping and by the restitution at both ends.
         ratio = 0.5**2 * math.exp(-damping * found.period) * 2.0 / found.end[1]
         assert found.by_state[1, 1] == pytest.approx(ratio, rel=1e-8)
-
-
-@pytest.mark.slow
-def test_ten_thousand_knots_cost_no_more_than_ten() -> None:
-    runs: list[Callable[[], Any]] = []
-    for n in (10, 10_000):
-        problem = mass(lambda x, _, n=n: zo.table(x, *wavy(n), "cubic", outside="extend"))
-        runs.append(partial(zo.simulate, problem, until=1.5))
-        runs[-1]()
-    times: list[list[float]] = [[], []]
-    # In turns: the load of the machine changes.
-    for k in range(200):
-        begin = time.process_time()
-        runs[k % 2]()
-        times[k % 2].append(time.process_time() - begin)
-    few, many = map(min, times)
-    assert many <= 1.5 * few
 
 
 # Refusals.
