@@ -18,7 +18,7 @@ from zeno_orbits.experiment import (
     sampled,
     tabulate_orbit,
 )
-from zeno_orbits.model import Problem
+from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import orbit_by_shooting
 from zeno_orbits.simulation import simulate
@@ -99,6 +99,29 @@ def test_a_settled_machine_is_not_refused(other: Orbit, problem: Problem) -> Non
         assert all(
             abs(one.value - TRUTH[one.unknown.label]) < 5 * one.error for one in found.fitted
         )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("bounds", "rate", "noise"),
+    [((1.0, 1.7), 150.5, 1e-3), ((2.4, 3.0), 60.5, 1e-2), ((1.0, 1.7), 150.37, 0.0)],
+)
+def test_a_range_without_the_truth_makes_no_settled_recording_unsteady(
+    bounds: tuple[float, float], rate: float, noise: float
+) -> None:
+    # Misfits of jumps sum up to other values in cycles that are sampled at other phases.
+    oscillator, truth = load_problem("forced_oscillator"), {"c": 2.0, "restitution": 0.45}
+    orbit = orbit_by_shooting(oscillator, oscillator.values(parameters=truth)).unwrap()
+    table = tabulate_orbit(orbit, oscillator, ("distance", "speed"))
+    settled = recorded(
+        table, oscillator, rate=rate / orbit.period, noise=noise, start=0.37, n_cycles=6.0
+    )
+    known = oscillator.values(parameters={**truth, "c": bounds[0]})
+    sought = FitParameter(names=("c",), lower=bounds[0], upper=bounds[1])
+    found = fit_parameters(oscillator, known, settled, (sought,))
+    assert "`c` reached an end of its range" in found.remarks
+    assert any("systematic misfit" in one for one in found.remarks)
+    assert not any("cycle" in one or "halves" in one for one in found.remarks)
 
 
 @pytest.mark.parametrize("names", [SIGNALS, ("theta1", "current")])

@@ -10,6 +10,11 @@ Parts `A` and `B` of the cycles, with gradients :math:`g = \sum J^\top r` and in
 is distributed like chi-square, if the noise variance is :math:`\varphi^2` times the variance of
 independent samples (theory (6.12)). Three pairs of parts are compared: the first cycle with the
 later cycles (a transient), the two halves (a drift), and even with odd cycles (a doubled period).
+
+The residuals that all cycles have in common are a misfit of the model, and no difference between
+cycles. So :math:`g` takes the residuals less their mean over the cycles at each phase. Cycles
+sample a step of height :math:`d` of :math:`J^\top r` at different phases, which changes a sum by
+:math:`d / 2` at most. The covariance contains the square of this change.
 """
 
 from __future__ import annotations
@@ -67,16 +72,20 @@ class _Cycles:
         gradients: ``(n_c, k + 1)``.
         information: ``(n_c, k + 1, k + 1)``.
         counts: Number of samples of each cycle, ``(n_c,)``.
-        sizes: Median of the absolute residuals of each cycle, ``(n_c,)``.
+        loud: Median of the absolute residuals of the first cycle, relative to that of later cycles
+            at the same phases.
         noise: Ratio of the variance to the variance of independent samples.
+        steps: Covariance of the sum over one cycle by the phases of its samples, which many cycles
+            may have in common, ``(k + 1, k + 1)``.
     """
 
     numbers: NDArray[np.int64]
     gradients: Vector
     information: Vector
     counts: Vector
-    sizes: Vector
+    loud: float
     noise: float
+    steps: Vector
 
     def apart(self, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> tuple[float, float]:
         """Return the difference of two parts of the cycles, as chi-square and in parameters."""
@@ -86,6 +95,7 @@ class _Cycles:
             inverse = _inverse(self.information[part].sum(axis=0))
             moves.append(-inverse @ self.gradients[part].sum(axis=0))
             spread += self.noise * inverse
+            spread += part.sum() ** 2 * inverse @ self.steps @ inverse
         gap = moves[0] - moves[1]
         return float(gap @ _inverse(spread) @ gap), float(np.max(np.abs(gap[:-1])))
 
@@ -108,11 +118,9 @@ class _Cycles:
         """
         from scipy.stats import binom, norm
 
-        # Residuals that are smaller than the least noise are rounding, and loud in no cycle.
-        loud = float(self.sizes[0]) / max(float(np.median(self.sizes[1:])), _QUIET)
         n = max(round(float(self.counts[0]) / self.noise), 1)
-        share = 2.0 * norm.sf(float(norm.isf(0.25)) * loud)
-        return loud > _LOUD and bool(binom.sf(math.ceil(n / 2) - 1, n, share) < _CHANCE)
+        share = 2.0 * norm.sf(float(norm.isf(0.25)) * self.loud)
+        return self.loud > _LOUD and bool(binom.sf(math.ceil(n / 2) - 1, n, share) < _CHANCE)
 
 
 def unsteady(found: Fit) -> Unsteady | None:
@@ -156,19 +164,66 @@ def _cycles(found: Fit) -> _Cycles:
     rest = found.residuals[: n * n_s].reshape(n, n_s)
     count = np.array([data.seen[data.groups == g].sum() for g in range(data.n_groups)])
     numbers = np.flatnonzero(count > _WHOLE * np.median(count))
-    parts = [data.groups == g for g in numbers]
-    gradients = [np.einsum("nsk,ns->k", slopes[own], rest[own]) for own in parts]
-    information = [np.einsum("nsk,nsl->kl", slopes[own], slopes[own]) for own in parts]
-    # The median: a single sample on the other side of a jump makes no cycle loud.
-    sizes = [float(np.median(np.abs(rest[own][data.seen[own]]))) for own in parts]
+    bins, n_bins = _bins(data, count[numbers])
+    common = np.where(data.seen, _means(rest, data.seen, bins, n_bins)[bins], 0.0)
+    own = np.where(data.seen, rest - common, 0.0)
+    pulls = np.einsum("nsk,ns->nk", slopes, common)
+    course = _means(pulls, np.full((n, k), True), bins, n_bins)[np.unique(bins)]
+    steps = np.diff(course, axis=0, append=course[:1])
+    # The bins in which the recording begins and ends have samples of one part only.
+    place = data.groups * n_bins + bins
+    whole = (place != place[0]) & (place != place[-1])
+    parts = [whole & (data.groups == g) for g in numbers]
+    gradients = [np.einsum("nsk,ns->k", slopes[part], own[part]) for part in parts]
+    information = [np.einsum("nsk,nsl->kl", slopes[part], slopes[part]) for part in parts]
     return _Cycles(
         numbers=numbers,
         gradients=np.array(gradients),
         information=np.array(information),
         counts=count[numbers],
-        sizes=np.array(sizes),
+        loud=_loudness(data, rest, bins, parts[0]),
         noise=_correlated(data, rest, data.groups >= numbers[len(numbers) // 2]),
+        steps=steps.T @ steps / 4.0,
     )
+
+
+def _bins(data: Folded, counts: Vector) -> tuple[NDArray[np.int64], int]:
+    """Return the phase bin of each row, and the number of bins: two samples of a cycle in each.
+
+    Args:
+        data: The samples.
+        counts: Number of values of each whole cycle, ``(n_c,)``.
+    """
+    rows = float(np.median(counts)) / data.seen.shape[1]
+    n_bins = int(np.clip(rows / 2.0, 1, _BINS))
+    return np.minimum((data.phases * n_bins).astype(np.int64), n_bins - 1), n_bins
+
+
+def _means(values: Vector, seen: NDArray[np.bool_], bins: NDArray[np.int64], n_bins: int) -> Vector:
+    """Return the mean of the seen values of each bin, 0 without a value, ``(n_bins, n_s)``."""
+    means = np.zeros((n_bins, values.shape[1]))
+    for s in range(values.shape[1]):
+        own = bins[seen[:, s]]
+        count = np.maximum(np.bincount(own, minlength=n_bins), 1)
+        means[:, s] = np.bincount(own, values[seen[:, s], s], minlength=n_bins) / count
+    return means
+
+
+def _loudness(
+    data: Folded, rest: Vector, bins: NDArray[np.int64], first: NDArray[np.bool_]
+) -> float:
+    """Return the ratio of the first cycle's median residual to that of later cycles.
+
+    The later cycles count where the first cycle has samples: elsewhere a misfit may be smaller.
+    """
+    later = (
+        data.seen & (np.isin(bins, bins[first]) & (data.groups > data.groups[first][0]))[:, None]
+    )
+    if not later.any():
+        return 0.0
+    begin = float(np.median(np.abs(rest[data.seen & first[:, None]])))
+    # Residuals that are smaller than the least noise are rounding, and loud in no cycle.
+    return begin / max(float(np.median(np.abs(rest[later]))), _QUIET)
 
 
 def _correlated(data: Folded, rest: Vector, later: NDArray[np.bool_]) -> float:
@@ -178,14 +233,13 @@ def _correlated(data: Folded, rest: Vector, later: NDArray[np.bool_]) -> float:
     have settled best.
     """
     bins = np.minimum((data.phases * _BINS).astype(np.int64), _BINS - 1)
+    means = _means(rest, data.seen, bins, _BINS)
     reach = max(round(_REACH * float(np.median(np.bincount(data.groups[later])[-2:]))), 1)
     taper = 1.0 - np.arange(1, reach + 1) / (reach + 1)
     sums = np.zeros(reach + 1)
     for s in range(rest.shape[1]):
         seen = data.seen[:, s]
-        count = np.maximum(np.bincount(bins[seen], minlength=_BINS), 1)
-        mean = np.bincount(bins[seen], weights=rest[seen, s], minlength=_BINS) / count
-        own = np.where(seen, rest[:, s] - mean[bins], 0.0)[later]
+        own = np.where(seen, rest[:, s] - means[bins, s], 0.0)[later]
         sums += [float(own[lag:] @ own[: len(own) - lag]) for lag in range(reach + 1)]
     if not sums[0] > 0.0:
         return 1.0
