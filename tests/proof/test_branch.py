@@ -361,7 +361,10 @@ def test_an_interval_without_the_orbit_is_refused(orbit: zo.Orbit) -> None:
         (("--branch", "A=1:1.1", "--basin"), "Option `--basin` is for a single orbit"),
         (("--branch", "A=1:1.1", "--radius", "1e-9"), "Option `--radius` is for a single orbit"),
         (("--workers", "2"), "Option `--workers` needs --branch"),
-        (("--branch", "A=1.1:1.2"), "must contain the orbit's own `A`"),
+        (
+            ("--branch", "A=1.1:1.2"),
+            "Widen the interval, or search an orbit in it, as with --set A=",
+        ),
         (("--branch", "B=1:1.2"), "unknown"),
     ],
 )

@@ -97,7 +97,9 @@ def prove_branch(
     own = {**orbit.gains, **orbit.parameters}[name]
     if not box[0] <= own <= box[1]:
         wanted = f"must contain the orbit's own `{name}`, {own!r}"
-        raise InputError(f"Argument `branch` {wanted}, but it is {box[0]!r}:{box[1]!r}.")
+        given = f"but it is {box[0]!r}:{box[1]!r}"
+        remedy = f"Widen the interval, or search an orbit in it, as with --set {name}={box[0]!r}"
+        raise InputError(f"Argument `branch` {wanted}, {given}. {remedy}.")
     here = prove_orbit(orbit, problem, settings=ProofSettings(bits=settings.bits))
     if not here.proved:
         return _failed(problem, name, box, here.claim, here.reason)
