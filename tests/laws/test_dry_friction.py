@@ -329,6 +329,22 @@ def test_wrong_declarations_are_refused() -> None:
         zo.simulate(slider(), start={"x": 1.0, "side_pad": 0.3}, until=1.0)
 
 
+@pytest.mark.parametrize("name", ["a pad", "a,b", "pad=1", "p\n"])
+def test_a_name_that_is_no_name_of_a_state_is_refused_where_the_part_is_declared(name: str) -> None:
+    with pytest.raises(ValueError, match=r"`name` must hold letters, digits .*`side_NAME`"):
+        zo.DryFriction(name, rate=ca.SX.sym("v"), torque=1.0)
+
+
+def test_a_side_that_state_names_leave_out_is_named() -> None:
+    right = slider()
+    names = [name for name in right.state_names if name != "side_pad"]
+    units = tuple(right.units[name] for name in names)
+    start = {name: value for name, value in right.starts[0].items() if name in names}
+    wrong = replace(right, state_names=tuple(names), state_units=units, starts=(start,))
+    with pytest.raises(ValueError, match=r"of drives and clock: .*`side_pad`\), but it names"):
+        wrong.checked()
+
+
 def written_model(force: str, part: str, p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     """Return two masses on springs, with forces and a part that are written as text."""
     x, u = ca.SX.sym("x"), ca.SX.sym("u")

@@ -161,6 +161,10 @@ def test_a_restitution_belongs_to_one_gap_or_to_each_stop() -> None:
         (lambda q, _: 2 * (zo.Switch(name="a", guard=q),), "two are `a`"),
         (lambda q, _: (zo.Switch(name=" ", guard=q),), "it is empty"),
         (lambda q, _: (zo.Switch(name="stop", guard=q),), "two are `stop`"),
+        (lambda q, _: (zo.Switch(name="a, b", guard=q),), "single blanks .* it is 'a, b'"),
+        (lambda q, _: (zo.Switch(name="x=1", guard=q),), "single blanks .* it is 'x=1'"),
+        (lambda q, _: (zo.Switch(name=" a", guard=q),), "single blanks .* it is ' a'"),
+        (lambda q, _: (zo.Switch(name="a\x1b[31m", guard=q),), r"single blanks .* it is 'a\\x1b"),
     ],
 )
 def test_invalid_switches_are_refused(switches: Any, words: str) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import casadi as ca
 
+from zeno_orbits.errors import shortened
 from zeno_orbits.model.contact import ImpactLaw
 from zeno_orbits.model.declared.quantities import require_unit
 from zeno_orbits.model.expressions.operations import expand_calls
@@ -132,18 +133,26 @@ def _is_true_or_false(formula: Any) -> bool:
     return formula.op() in (ca.OP_LT, ca.OP_LE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
 
 
+_MARKS = frozenset(",;:=`'\"")
+"""Marks that separate names, or end them, on the command line and in messages."""
+
+
 def require_event_names(names: list[str]) -> None:
-    """Refuse an empty name, and two events of one name.
+    """Refuse an empty name, two events of one name, and names that cannot be typed in a list.
 
     Args:
         names: Names of all stops and switches.
 
     Raises:
-        ValueError: If a name is empty or occurs twice.
+        ValueError: If a name is empty or occurs twice, or is not words with single blanks between
+            them.
     """
     for k, name in enumerate(names):
         if not name.strip():
             raise ValueError("Argument `name` must name the stop or switch, but it is empty.")
+        if name != " ".join(name.split()) or not name.isprintable() or _MARKS & set(name):
+            wanted = "must be words with single blanks between them, without , ; : = ` or quotes"
+            raise ValueError(f"Argument `name` {wanted}, but it is {shortened(repr(name))}.")
         if name in names[:k]:
             raise ValueError(
                 f"Argument `name` must differ for all stops and switches, but two are `{name}`."

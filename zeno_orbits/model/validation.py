@@ -120,7 +120,7 @@ def require_states(
         named = f"but it names {len(state_names)}: {', '.join(state_names)}"
         raise ValueError(
             f"Argument `state_names` must name the model's {n_x} states ({n_q} coordinates, as "
-            f"many velocities, {n_x - 2 * n_q} of drives and clock), {named}."
+            f"many velocities, {n_x - 2 * n_q} of drives and clock{_others(system)}), {named}."
             f"{_forgotten(system, state_names)}"
         )
     for k in range(n_q):
@@ -137,6 +137,12 @@ def require_states(
                 f"Argument `state_units` must give the {kind} `{state_names[k]}` the unit "
                 f"{ELECTRICAL[kind]}, but it is `{state_units[k]}`."
             )
+
+
+def _others(system: CompletedSystem) -> str:
+    """Return the symbols of the states after the velocities, as a clause."""
+    names = [system.state[k].name() for k in range(2 * system.n_q, system.state.numel())]
+    return f": {', '.join(f'`{name}`' for name in names)}" if names else ""
 
 
 def _forgotten(system: CompletedSystem, state_names: Sequence[str]) -> str:

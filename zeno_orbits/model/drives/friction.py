@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
+from zeno_orbits.errors import shortened
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.expressions.operations import expand_calls
 from zeno_orbits.model.lagrangian import HybridLagrangian, require_scalar, require_separate
@@ -54,6 +55,11 @@ class DryFriction:
         expand_calls(self)
         if not self.name.strip():
             raise ValueError("Argument `name` must name the part with friction, but it is empty.")
+        if not (SIDE + self.name).isidentifier():
+            wanted = (
+                f"must hold letters, digits and underscores only, as the state `{SIDE}NAME` does"
+            )
+            raise ValueError(f"Argument `name` {wanted}, but it is `{shortened(self.name)}`.")
         object.__setattr__(self, "side", ca.SX.sym(SIDE + self.name))
         require_scalar("rate", self.rate)
         torque, static = ca.SX(self.torque), self._static
