@@ -48,6 +48,16 @@ def test_verify_prints_margins_and_the_truncation_test_on_request(orbit_file: Pa
     assert order[0] in everything
 
 
+def test_verify_counts_the_impacts_that_a_file_lacks_before_a_zeno_point(orbit_file: Path) -> None:
+    data = json.loads(orbit_file.read_text())
+    zeno = [event["name"] for event in data["events"]].index("zeno stop")
+    del data["events"][1:zeno]
+    orbit_file.write_text(json.dumps(data))
+    answer = ask("verify", orbit_file)
+    assert answer.code == YES
+    assert f"Note: the orbit lacks {zeno - 1} resolved impacts before Zeno points" in answer.out
+
+
 def test_verify_prints_the_certificate_as_json(orbit_file: Path) -> None:
     answer = ask("verify", orbit_file, "--json")
     assert answer.code == YES

@@ -456,3 +456,22 @@ def test_a_machine_of_another_problem_is_refused(other: str) -> None:
     wrong = problem.system(problem.values())
     with pytest.raises(zo.InputError, match="`dynamics` must have the states and stops of problem"):
         zo.verify(_orbit("clapper"), dynamics=wrong)
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_resolved_impacts_that_an_orbit_lacks_are_counted(name: str) -> None:
+    orbit, stop = _orbit(name), ZENO[name]
+    names = [event.name for event in orbit.events]
+    zeno = names.index(f"zeno {stop}")
+    assert names[zeno - 2 : zeno] == 2 * [f"impact {stop}"]
+    whole = zo.verify(orbit, settings=QUICK)
+    assert whole.unlisted == 0
+    assert "unlisted" not in whole.as_json()
+    short = zo.verify(
+        replace(orbit, events=(*orbit.events[: zeno - 2], *orbit.events[zeno:])), settings=QUICK
+    )
+    assert short.passed
+    assert short.unlisted == short.as_json()["unlisted"] == 2
+    # A gap in the list is no end of it.
+    gap = (*orbit.events[: zeno - 2], *orbit.events[zeno - 1 :])
+    assert zo.verify(replace(orbit, events=gap), settings=QUICK).failed == ("impact_sequence",)

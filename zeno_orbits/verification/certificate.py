@@ -228,6 +228,8 @@ class OrbitCertificate(TableRepr):
             the energy balance cannot be checked.
         events: Event sequence of the orbit.
         quantities: Range of each quantity of its events over one period, by name.
+        unlisted: Number of resolved impacts before Zeno points that the orbit does not list. They
+            are not compared.
     """
 
     tolerance: float
@@ -251,6 +253,7 @@ class OrbitCertificate(TableRepr):
     quantities: Mapping[str, tuple[float, float]] = field(
         default_factory=dict[str, tuple[float, float]]
     )
+    unlisted: int = 0
 
     def __repr__(self) -> str:
         """Return one line with the verdict and the stability of the orbit."""
@@ -391,6 +394,7 @@ class OrbitCertificate(TableRepr):
             "trouble": self.trouble,
             "asked": [dict(one) for one in self.asked],
             **({"open_balance": True} if self.open_balance else {}),
+            **({"unlisted": self.unlisted} if self.unlisted else {}),
             **({"quantities": self._ranges()} if self.events else {}),
         }
 

@@ -138,6 +138,29 @@ def event_misses(
     return misses.found
 
 
+def unlisted_impacts(claim: Claim, first: Period) -> int:
+    """Return the number of resolved impacts before Zeno points that an orbit does not list.
+
+    Args:
+        claim: The orbit as claimed.
+        first: The first integrated period.
+    """
+    names = [orbit_event_name(event) for event in events_as_listed(first.events, claim.sequence)]
+    if sequence_of(names) != claim.sequence:
+        return 0
+    claims = _lasting_phases([one.name for one in claim.events])
+    pairs = zip(_lasting_phases(names), claims, strict=True)
+    return sum(
+        max(0, _impacts_among(names, seen) - (len(listed) - 1))
+        for seen, listed in pairs
+        if names[seen[-1]].startswith("zeno ")
+    )
+
+
+def _impacts_among(names: Sequence[str], phase: Sequence[int]) -> int:
+    return sum(names[k].startswith("impact ") for k in phase)
+
+
 def _residual_of(event: Impact | ZenoPoint | Release | SwitchEvent, is_last: bool) -> str:
     """Return the residual that compares the last event of a phase."""
     if isinstance(event, Impact):

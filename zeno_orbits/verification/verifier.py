@@ -51,6 +51,7 @@ from zeno_orbits.verification.residuals import (
     nothing_returns,
     off_section,
     sizes_along,
+    unlisted_impacts,
 )
 from zeno_orbits.verification.second_net import GuardRanges, sampled_guards
 from zeno_orbits.work import Checked, Progress, checked, silent
@@ -188,6 +189,7 @@ def verify(
         open_balance=not _is_balanced(one.own),
         events=orbit.sequence,
         quantities=again.quantities,
+        unlisted=unlisted_impacts(one.claim, seen.first) if seen.first else 0,
     )
 
 

@@ -445,6 +445,9 @@ def print_certificate(
     ]
     print_table(residual_columns, names)
     print_event_quantities(certificate)
+    if certificate.unlisted:
+        lacks = f"lacks {counted(certificate.unlisted, 'resolved impact')} before Zeno points"
+        print_lines([f"Note: the orbit {lacks}, which follow from the motion.", ""])
     if margins:
         _print_margins(certificate)
     if truncation:
