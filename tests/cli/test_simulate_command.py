@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
@@ -211,3 +212,14 @@ def test_all_states_stand_in_several_tables_where_one_is_too_wide(
     assert [name for shown in states for name in shown] == every
     assert len(states) > 1
     assert all(len(line) <= 80 for line in out.splitlines()[:9])
+
+
+def test_a_state_below_its_rounding_is_printed_as_zero_and_written_in_full() -> None:
+    words = ("simulate", "forced_oscillator", "--until", "10", "--all-states", "--events")
+    printed, data = ask(*words), ask(*words, "--json").data
+    rows = [row.split() for row in printed.out.splitlines() if " impact " in row]
+    assert len(rows) > 5
+    # The mass is on its stop in each impact.
+    assert all(row[3] == "0" for row in rows)
+    assert "e-17" in json.dumps(data)
+    assert float(rows[0][2]) == pytest.approx(-0.2007483, rel=1e-5)

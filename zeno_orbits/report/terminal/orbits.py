@@ -24,10 +24,11 @@ from zeno_orbits.report.table import (
 from zeno_orbits.report.terminal.console import line_width, print_lines, print_table
 
 if TYPE_CHECKING:
+    from zeno_orbits.arrays import Vector
     from zeno_orbits.model import Problem
     from zeno_orbits.orbits import Orbit, OrbitEvent, OrbitPhase
     from zeno_orbits.precision import ExecutionWithError
-    from zeno_orbits.simulation import Event
+    from zeno_orbits.simulation import Event, Execution
     from zeno_orbits.verification import DeltaCut, OrbitCertificate
 
 _MOST_EVENTS = 40
@@ -40,6 +41,8 @@ _ROUGH = 1e-3
 """Estimated relative error from which the order of events is in doubt."""
 _STILL = 1e-9
 """A state that changes less from event to event stands still, relative."""
+_ROUNDED = 1e-14
+"""Part of the largest size of a state below which its value is rounding, and prints as 0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,10 +85,14 @@ def print_execution(
         text_column("event", lambda event: _event_name(event, errors)),
         number_column("dh/dt", lambda event: _unless_skipped(event, _approach_rate)),
     ]
+    sizes = _sizes_of(execution)
     across = max((line_width() - _BEFORE_STATES) // _STATE, 1)
     lines = list(events) if all_events else _one_line_per_sequence(events)
     for k in range(0, max(len(moving), 1), across):
-        states = [_state_column(name, names.index(name)) for name in moving[k : k + across]]
+        states = [
+            _state_column(name, names.index(name), float(sizes[names.index(name)]))
+            for name in moving[k : k + across]
+        ]
         print_table([*columns, *states], lines[:_MOST_EVENTS])
     if len(lines) > _MOST_EVENTS:
         print_lines([f"... and {len(lines) - _MOST_EVENTS} more events. --json lists all events."])
@@ -171,13 +178,31 @@ def _approach_rate(event: Event) -> str:
     return f"{event.approach_rate:.6g}" if isinstance(event, Impact) else ""
 
 
-def _state_column(name: str, index: int) -> TableColumn[_Line]:
+def _state_column(name: str, index: int, size: float) -> TableColumn[_Line]:
     """Return the column of a state, at an impact or switch just before it."""
     from zeno_orbits.simulation import state_before
 
-    return number_column(
-        name, lambda line: _unless_skipped(line, lambda event: f"{state_before(event)[index]:.5g}")
-    )
+    def cell(event: Event) -> str:
+        return f"{_without_rounding(float(state_before(event)[index]), size):.5g}"
+
+    return number_column(name, lambda line: _unless_skipped(line, cell))
+
+
+def _sizes_of(execution: Execution) -> Vector:
+    """Return the largest size of each state along an execution, ``(n_x,)``."""
+    n_x = len(execution.end_state)
+    return np.max([np.abs(arc.flow_states[:, :n_x]).max(axis=0) for arc in execution.arcs], axis=0)
+
+
+def _sizes_along(orbit: Orbit) -> dict[str, float]:
+    """Return the largest size of each state at the events of an orbit."""
+    states = [orbit.start_state, *(event.state for event in orbit.events)]
+    return {name: max(abs(one[name]) for one in states) for name in orbit.start_state}
+
+
+def _without_rounding(value: float, size: float) -> float:
+    """Return a value, or zero if it is rounding of a state of some size."""
+    return value if abs(value) > _ROUNDED * size else 0.0
 
 
 def print_engine(engine: str, why: str, error: float) -> None:
@@ -270,7 +295,11 @@ def print_event_orbit(orbit: Orbit, certificate: OrbitCertificate) -> None:
         orbit.events,
     )
     print_event_quantities(certificate)
-    state = ", ".join(f"{name}={value:.10g}" for name, value in orbit.start_state.items())
+    sizes = _sizes_along(orbit)
+    state = ", ".join(
+        f"{name}={_without_rounding(value, sizes[name]):.10g}"
+        for name, value in orbit.start_state.items()
+    )
     print_lines([f"Start, just after `{orbit.events[-1].name}`:", f"  {state}", ""])
     print_verdict(certificate)
 
@@ -283,13 +312,13 @@ def print_event_states(orbit: Orbit) -> None:
     """
     columns: list[TableColumn[OrbitEvent]] = [
         text_column("before", lambda event: event.name),
-        *(_before_column(name) for name in orbit.start_state),
+        *(_before_column(name, size) for name, size in _sizes_along(orbit).items()),
     ]
     print_table(columns, orbit.events)
 
 
-def _before_column(name: str) -> TableColumn[OrbitEvent]:
-    return number_column(name, lambda event: f"{event.state[name]:.10g}")
+def _before_column(name: str, size: float) -> TableColumn[OrbitEvent]:
+    return number_column(name, lambda event: f"{_without_rounding(event.state[name], size):.10g}")
 
 
 _SHOWN = {
@@ -341,10 +370,12 @@ def _phase_lines(problem: Problem, orbit: Orbit, k: int, phase: OrbitPhase) -> l
     number = f"phase {k + 1}: " if orbit.shape.n_phases > 1 else ""
     start = "release" if orbit.phases[k - 1].kind.holds else "start"
     units = zip(problem.state_names, problem.state_units, strict=True)
+    sizes = _sizes_along(orbit)
+    values = {
+        name: _without_rounding(value, sizes[name]) for name, value in phase.start_state.items()
+    }
     states = [
-        with_unit(f"{name} = {phase.start_state[name]:.7g}", unit)
-        for name, unit in units
-        if phase.start_state[name]
+        with_unit(f"{name} = {values[name]:.7g}", unit) for name, unit in units if values[name]
     ]
     return [f"  {number}{', '.join(events)}", f"  {start}: {', '.join(states) or 'all states 0'}"]
 
