@@ -232,6 +232,10 @@ FALSE: dict[str, tuple[Change, str]] = {
         lambda t, y: (t[:500], y[:, :500]),
         "no period is seen",
     ),
+    "a pause of hours in the middle": (
+        lambda t, y: (t + 1e4 * (t > t[len(t) // 2]), y),
+        "s for 1e+04 s, and no period is seen: correct the times",
+    ),
     "never at rest": (
         lambda t, y: (
             t,

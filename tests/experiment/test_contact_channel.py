@@ -85,7 +85,7 @@ def _with_channel(name: str, values: list[float], unit: str = "1") -> Recording:
 @pytest.mark.parametrize(
     ("name", "values", "unit", "words"),
     [
-        ("contact.closed", [0.0, 0.5, 1.0], "1", "only 0 and 1 in its contact channel .* 0.5"),
+        ("contact.closed", [0.0, 0.5, 1.0], "1", "contact channel .* 0.5. Write 1 where"),
         ("contact.closed", [0.0, 1.0, 2.0], "1", "but it has 2"),
         ("contact.closed", [0.0, 1.0, 1.0], "V", "the unit V"),
         ("contact.close", [0.0, 1.0, 1.0], "1", "`contact.close`.*mean `contact.closed`"),

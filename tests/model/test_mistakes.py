@@ -282,6 +282,14 @@ def test_a_motion_that_slides_is_refused_with_a_formula_that_does_not(tmp_path: 
         assert (told in answer.err) == bool(code)
 
 
+def test_a_file_of_another_encoding_is_named_with_the_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "ball.py"
+    path.write_bytes(FILE.replace('title="ball"', 'title="b\u00e4ll"').encode("latin-1"))
+    answer = ask("simulate", path, "--until", "1")
+    assert answer.code == MISUSE
+    assert "a character is not UTF-8. Save the file as UTF-8." in answer.err
+
+
 def test_the_file_without_a_mistake_is_accepted(tmp_path: Path) -> None:
     file = tmp_path / "ball.py"
     file.write_text(FILE, encoding="utf-8")

@@ -841,13 +841,13 @@ def test_a_state_that_is_not_named_is_refused(
     orbit: Orbit, problem: Problem, where: str, named: str
 ) -> None:
     state = {name: value for name, value in orbit.release_state.items() if name != "current"}
-    with pytest.raises(InputError, match=f"`{named}`, but these differ: current"):
+    with pytest.raises(InputError, match=f"`{named}`, but it lacks `current`: add"):
         verify(changed(orbit, **{where: state}), problem)
 
 
 def test_an_impact_with_unknown_states_is_refused(orbit: Orbit, problem: Problem) -> None:
     state = {**orbit.release_state, "theta3": 0.0}
-    with pytest.raises(InputError, match="`impact stop`, but these differ: theta3"):
+    with pytest.raises(InputError, match="`impact stop`, but it names `theta3`: remove"):
         verify(changed(orbit, impacts=(OrbitImpact(time=1.0, state_minus=state),)), problem)
 
 
@@ -855,7 +855,7 @@ def test_an_impact_with_unknown_states_is_refused(orbit: Orbit, problem: Problem
 def test_numbers_that_are_missing_are_refused(orbit: Orbit, problem: Problem, where: str) -> None:
     values = dict(getattr(orbit, where))
     name, _ = values.popitem()
-    with pytest.raises(InputError, match=f"but these differ: {name}"):
+    with pytest.raises(InputError, match=f"but it lacks `{name}`"):
         verify(replace(orbit, **{where: values}), problem)
 
 

@@ -145,6 +145,8 @@ def _about_syntax(error: SyntaxError) -> str:
         return f"{text}. Indent the line like its neighbours"
     if "was never closed" in text:
         return f"{text}. Add the closing bracket"
+    if "codec can't decode" in text:
+        return "a character is not UTF-8. Save the file as UTF-8"
     return text
 
 

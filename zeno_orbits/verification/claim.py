@@ -264,6 +264,13 @@ def claimed_start(
 
 
 def _require_same(names: Iterable[str], known: Iterable[str], wanted: str) -> None:
-    odd = ", ".join(sorted(set(names) ^ set(known)))
-    if odd:
-        raise InputError(f"Argument `orbit` {wanted}, but these differ: {odd}.")
+    given, right = set(names), set(known)
+    faults = (
+        (right - given, "it lacks {}: add the value"),
+        (given - right, "it names {}: remove the name, or give the problem of the orbit"),
+    )
+    told = "; ".join(
+        text.format(", ".join(f"`{name}`" for name in sorted(odd))) for odd, text in faults if odd
+    )
+    if told:
+        raise InputError(f"Argument `orbit` {wanted}, but {told}.")

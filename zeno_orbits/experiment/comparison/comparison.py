@@ -319,6 +319,14 @@ def _no_period(compared: Comparison) -> str:
     if rows and all(np.nanmin(row) == np.nanmax(row) for row in rows):
         return "every signal is constant: check the columns and the instruments"
     whole, period = recording.time[-1] - recording.time[0], compared.orbit.period
+    steps = np.diff(recording.time)
+    pause = float(np.max(steps, initial=0.0))
+    if pause > max(period, whole / 2):
+        since = float(recording.time[int(np.argmax(steps))])
+        return (
+            f"no sample follows t = {since:.6g} s for {pause:.4g} s, and no period is seen: "
+            "correct the times, or cut the recording with --t-start or --t-end"
+        )
     seen = f"no period is seen in {whole:.4g} s, and the orbit's is {period:.4g} s"
     return f"{seen}: record a motion of several periods"
 

@@ -67,7 +67,8 @@ def contact_channels(recording: Recording, stops: Sequence[str]) -> dict[str, Ve
         if signal.unit != "1" or np.any(odd):
             value = f"{values[odd][0]:.6g}" if np.any(odd) else f"the unit {signal.unit}"
             wanted = f"must have only 0 and 1 in its contact channel `{name}`"
-            raise InputError(f"Argument `recording` {wanted}, but it has {value}.")
+            remedy = "Write 1 where the stop is closed and 0 where it is open, without a unit"
+            raise InputError(f"Argument `recording` {wanted}, but it has {value}. {remedy}.")
         if np.any(np.isfinite(values)):
             found[known[name]] = values
     return found
