@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +152,23 @@ def test_a_parabola_through_readings_holds_the_orbit_that_a_filter_loses(
     assert held[2:] == pytest.approx([KD] * 6, abs=0.02)
     with pytest.raises(zo.SimulationError, match="ran away"):
         run(0.0)
+
+
+def test_rounding_of_the_orbit_does_not_set_the_scale_of_the_machine() -> None:
+    # The distance of this start was 6e-15 m, which gave gaps a scale of 1e-12 m.
+    start = {"speed": 2.6803551243281465, "cosine": -0.5698815439487501}
+    start["sine"] = math.sqrt(1 - start["cosine"] ** 2)
+    parameters = {"omega": 1.745806347612351}
+    orbit = zo.find_orbit_by_shooting("impact_oscillator", parameters=parameters, start=start)
+    found = zo.design_feedback(orbit.unwrap(), {"A": (0.0, 2.0)})
+    machine = found.machine()
+    own = zo.load_problem("impact_oscillator").dynamics(
+        orbit.unwrap().values(found.returns.problem)
+    )
+    assert machine.graph_dynamics(machine.values()).own.gap == own.own.gap
+    point = found.returns.fixed_point + 1e-3 * found.returns.sizes
+    first = {**found.returns.state(point), "held_A": float(found.inputs_at(point)[0])}
+    assert len(zo.simulate(machine, start=first, until=100.0).impacts) == 27
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,7 @@ def test_a_bundled_problem(name: str) -> None:
 def test_a_stiff_machine_and_a_recording_tell_the_same_orbit(name: str) -> None:
     told = data_story_of(name)
     # `rig` takes one Zeno point a period, and `identify` an orbit that tells its restitution.
-    refused = {"impact_oscillator", "two_tone_table"}
+    refused = {"impact_oscillator", "table_juggler", "two_tone_table"}
     assert math.isnan(told.rig) == math.isnan(told.identified) == (name in refused)
     if name not in refused:
         # A contact lasts 3e-5 of the period, and the machine is off by as much at most.

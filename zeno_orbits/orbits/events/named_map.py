@@ -47,7 +47,7 @@ from zeno_orbits.work import Columns, TableRepr, checked, versions
 _MOVES, _RANK = 1e-9, 1e-9
 """Relative change of a state above which a section moves, and relative singular value below which
 conditions depend."""
-_ROUNDED = 1e-14
+_ROUNDED = 1e-12
 """Part of the largest value of a state that is rounding."""
 _CLOSED = 1e-6
 """Relative change over a period of an orbit that is closed."""
