@@ -6,17 +6,20 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+import zeno_orbits as zo
 from benchmarks.rig_convergence import fit_order
 from tests.support.cases import fast
 from tests.support.disc import DISC, ELECTRIC, INERTIA
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.experiment import (
+    RigRun,
     RigSettings,
     Source,
     compare_cycles,
@@ -31,6 +34,7 @@ from zeno_orbits.experiment.rig import (
 )
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import (
+    CompletedSystem,
     Contact,
     Controller,
     Friction,
@@ -39,6 +43,8 @@ from zeno_orbits.model import (
     Problem,
     PwmSettings,
     Rig,
+    Sensors,
+    hybrid_system,
     load_problem,
     load_reference,
 )
@@ -365,6 +371,56 @@ def test_a_sampled_disc_moves_as_matrix_exponentials_say(delay: float) -> None:
             commands.append(gains["V0"] - gains["Kp"] * y[0] - gains["Kd"] * y[1])
     y = expm(matrix * (0.05 - time)) @ y
     assert run.states[-1] == pytest.approx(y[:3], rel=1e-9)
+
+
+def test_the_noise_of_a_current_reaches_the_voltage_of_its_law() -> None:
+    sigma, gain = 0.05, 2.0
+    sampled = Controller(period=2e-3)
+
+    def run(noise: float, ki: float) -> RigRun:
+        rig = Rig(controller=sampled, sensors=Sensors(current_noise=noise))
+        values = DISC.values(gains={"V0": 3.0, "Ki": ki})
+        return run_rig(DISC, values, rig, (0.0, 0.0, 0.0), 2.0, seed=4)
+
+    noisy = run(sigma, gain)
+    n = len(noisy.record.times)
+    # The voltage between two readings is the law of what was read, and the record has the reading.
+    middle = np.searchsorted(noisy.times, noisy.record.times[:-1] + 5e-4)
+    asked = 3.0 - gain * noisy.record.currents[:-1, 0]
+    assert noisy.voltage[middle, 0] == pytest.approx(asked, rel=1e-12)
+    current = np.interp(noisy.record.times, noisy.times, noisy.of("current"))
+    errors = noisy.record.currents[:, 0] - current
+    # Four standard errors of a standard deviation from n draws.
+    assert np.std(errors[10:]) == pytest.approx(sigma, rel=4 / math.sqrt(2 * n))
+    steps = [np.std(np.diff(one.voltage[middle[20:], 0])) for one in (noisy, run(0.0, gain))]
+    assert steps[0] > gain * sigma
+    assert steps[1] < 1e-3
+    # A law without the current moves as with an exact sensor, to the last digit.
+    assert np.array_equal(run(sigma, 0.0).states, run(0.0, 0.0).states)
+
+
+def test_a_held_state_takes_the_current_that_the_sensor_gives() -> None:
+    def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
+        disc = DISC.model(p)
+        seen = ca.SX.sym("seen")
+        far = zo.Switch(name="far", guard=1.0 - disc.mechanism.q, others_after=None)
+        hold = zo.Hold(states=seen, at="switch far", after=disc.drive.motor_current)
+        return hybrid_system(disc.mechanism, (disc.drive, hold), p["restitution"], switches=(far,))
+
+    names, units = (*DISC.state_names, "seen"), (*DISC.state_units, "A")
+    problem = replace(DISC, name="seeing", model=model, state_names=names, state_units=units)
+    values = problem.values(gains={"V0": 3.0})
+
+    def seen(noise: float) -> tuple[float, float]:
+        rig = Rig(controller=Controller(period=1e-3), sensors=Sensors(current_noise=noise))
+        run = run_rig(problem, values, rig, (0.9, 4.0, 0.0, 0.0), 0.1, seed=1)
+        held = float(run.of("seen")[-1])
+        return held, float(np.min(np.abs(run.record.currents - held)))
+
+    exact, noisy = seen(0.0), seen(0.05)
+    # What is held is a reading, not the current between two readings.
+    assert exact[1] == noisy[1] == 0.0
+    assert 1e-3 < abs(noisy[0] - exact[0]) < 0.25
 
 
 @pytest.mark.slow

@@ -21,8 +21,8 @@ ELECTRIC = {"R": 2.0, "L": 3e-3, "K": 0.05}
 
 
 def _disc(p: Mapping[str, ca.SX]) -> CompletedSystem:
-    """Return a disc on a motor, its stop far away, under ``V = V0 - Kp angle - Kd rate``."""
-    angle, rate = ca.SX.sym("angle"), ca.SX.sym("rate")
+    """Return a disc on a motor, its stop far away, under a law of angle, rate and current."""
+    angle, rate, current = (ca.SX.sym(one) for one in ("angle", "rate", "current"))
     disc = HybridLagrangian.from_energies(
         q=angle, v=rate, kinetic=INERTIA * rate**2 / 2, potential=ca.SX(0), gap=_FAR - angle
     )
@@ -32,7 +32,8 @@ def _disc(p: Mapping[str, ca.SX]) -> CompletedSystem:
         inductance=ca.SX(ELECTRIC["L"]),
         torque_constant=p["K"],
         emf_constant=p["K"],
-        voltage=p["V0"] - p["Kp"] * angle - p["Kd"] * rate,
+        voltage=p["V0"] - p["Kp"] * angle - p["Kd"] * rate - p["Ki"] * current,
+        current=current,
     )
     return hybrid_system(disc, full_drive(disc, motor), p["restitution"])
 
@@ -51,7 +52,7 @@ DISC = Problem(
         Quantity(name="K", unit="N m/A", meaning="motor constant", default=ELECTRIC["K"]),
         Quantity.restitution(0.2),
     ),
-    gains=(_gain("V0"), _gain("Kp"), _gain("Kd")),
+    gains=(_gain("V0"), _gain("Kp"), _gain("Kd"), _gain("Ki")),
     model=_disc,
     starts=({},),
     portraits=(("angle", "rate"),),

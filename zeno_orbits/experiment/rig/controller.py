@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
 
 import numpy as np
@@ -26,6 +26,7 @@ class ControlLoop:
         currents: Function from a true state to the motor currents.
         n_x: Number of the problem's states.
         n_q: Number of coordinates.
+        sensed: Index of the current's state of each motor, or -1 if the current is no state.
         random: Random generator of the noise.
     """
 
@@ -36,8 +37,10 @@ class ControlLoop:
         currents: Callable[[Vector], Vector],
         n_x: int,
         n_q: int,
+        sensed: Sequence[int],
         random: np.random.Generator,
     ) -> None:
+        self._sensed = [(motor, k) for motor, k in enumerate(sensed) if k >= 0]
         self._command, self._currents, self._n_x = command, currents, n_x
         exact = rig.bridge is not None and rig.bridge.switching is PwmSettings.EXACT
         self._bridge: HBridge | None = rig.bridge if exact else None
@@ -97,9 +100,12 @@ class ControlLoop:
         return self._arc.fits(time)
 
     def _read(self, time: float, y: Vector) -> None:
-        measured = self._reader.read(y[: self._n_x])
+        measured = self._reader.read(y[: self._n_x]).copy()
+        currents = self._reader.currents(self._currents(y))
+        for motor, k in self._sensed:
+            measured[k] = currents[motor]
         self._arc.add(time, measured)
-        self.log.append((time, measured, self._reader.currents(self._currents(y))))
+        self.log.append((time, measured, currents))
         self._waiting.append((time + self._controller.delay, self._command(measured)))
         self._readings += 1
 
@@ -134,7 +140,8 @@ class Encoders:
     r"""Converter of true states to measured states, one reading at a time (theory (6.5)).
 
     .. math:: q_k = r\,\mathrm{round}\!\left(\frac{q(t_k) + \nu_k}{r}\right),\qquad
-        v_k = a\,v_{k-1} + (1 - a)\,\frac{q_k - q_{k-1}}{T_s},\qquad a = e^{-T_s/\tau}
+        v_k = a\,v_{k-1} + (1 - a)\,\frac{q_k - q_{k-1}}{T_s},\qquad a = e^{-T_s/\tau},\qquad
+        i_k = i(t_k) + \eta_k
 
     Args:
         sensors: Sensor parameters, or ``None`` to return the states themselves.

@@ -52,6 +52,7 @@ class Machine:
         n_x: Number of the problem's states.
         n_q: Number of coordinates.
         n_motors: Number of motors.
+        sensed: Index of the current's state of each motor, or -1 if the current is no state.
         stop_names: Name of each stop.
         holds: Whether the voltages are held between updates instead of following the feedback
             continuously.
@@ -68,6 +69,7 @@ class Machine:
     n_x: int
     n_q: int
     n_motors: int
+    sensed: tuple[int, ...]
     stop_names: tuple[str, ...]
     holds: bool
     observe: ca.Function
@@ -174,6 +176,7 @@ def machine(problem: Problem, rig: Rig) -> Machine:
         n_x=system.state.numel(),
         n_q=system.n_q,
         n_motors=parts.held.numel(),
+        sensed=_current_states(system),
         stop_names=tuple(one.name for one in graph.stops),
         holds=parts.holds,
         observe=function("observe", seen),
@@ -184,6 +187,16 @@ def machine(problem: Problem, rig: Rig) -> Machine:
         _branch=branch,
         _graph=graph,
     )
+
+
+def _current_states(system: CompletedSystem) -> tuple[int, ...]:
+    """Return the index of each motor's current in the state, or -1 if it is not a state."""
+    states = ca.vertsplit(system.state)
+    found: list[int] = []
+    for current in ca.vertsplit(system.motor_current):
+        equal = [k for k, state in enumerate(states) if ca.is_equal(state, current)]
+        found.append(equal[0] if equal else -1)
+    return tuple(found)
 
 
 def require_place(problem: Problem, system: CompletedSystem, rig: Rig) -> None:

@@ -165,6 +165,7 @@ class _Follower:
             lambda y: self._motors(y, 0).copy(),
             self._machine.n_x,
             self._machine.n_q,
+            self._machine.sensed,
             random,
         )
 

@@ -183,7 +183,8 @@ class Sensors(Part):
         resolution: Step of the encoders of all coordinates, or 0 for exact coordinates [rad].
         noise: Standard deviation of a coordinate before it is rounded [rad].
         filter_time: Time constant of the low pass after the difference of two readings [s].
-        current_noise: Standard deviation of a current in a record [A].
+        current_noise: Standard deviation of a current, as recorded and as the controller reads it
+            [A].
         window: Time of readings through which a parabola is fitted for states that are set at an
             event, or 0 for the last reading [s].
     """
@@ -192,7 +193,7 @@ class Sensors(Part):
         _nonnegative("resolution", 0.0, "rad", "step of the encoders"),
         _nonnegative("noise", 0.0, "rad", "standard deviation of a coordinate"),
         _nonnegative("filter_time", 0.0, "s", "low pass after the difference of two readings"),
-        _nonnegative("current_noise", 0.0, "A", "standard deviation of a current in a record"),
+        _nonnegative("current_noise", 0.0, "A", "standard deviation of a current that is read"),
         _nonnegative("window", 0.0, "s", "readings of which an event's state is the parabola"),
     )
 
