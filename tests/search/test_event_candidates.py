@@ -148,18 +148,3 @@ def test_scaled_lengths_have_the_same_candidates() -> None:
     for orbit in (one.orbit for one in millimetres.candidates):
         for before, after in pairwise(orbit.events):
             assert before.time < after.time
-
-
-def test_an_optimum_of_one_start_is_called_local_until_others_lead_there() -> None:
-    wish = zo.MinImpactLoss()
-    asked: dict[str, Any] = {"vary": {"a": (15.0, 40.0)}, "objective": wish}
-    one = zo.search_event_gains("hopper", **asked)
-    assert [remark for remark in one.remarks if "may be local" in remark]
-    several = zo.search_event_gains("hopper", **asked, candidates=2, n_starts=1)
-    assert not [remark for remark in several.remarks if "may be local" in remark]
-    assert several.candidates[0].starts == 2
-    # No other start is better than the values that are asked for, or than the only start.
-    near = zo.search_event_gains("hopper", vary={"a": (15.0, 40.0)})
-    assert not near.remarks
-    alone = zo.search_event_gains("hopper", **asked, n_starts=0)
-    assert not alone.remarks

@@ -20,7 +20,7 @@ from zeno_orbits.search import (
     ProgramTask,
     Verdict,
     orbit_by_program,
-    search_event_orbits,
+    search_orbits,
     settled_return,
 )
 from zeno_orbits.search.objectives import Target
@@ -264,14 +264,18 @@ def test_a_bounded_peak_is_kept_between_the_stages() -> None:
 
 
 def test_a_target_that_no_orbit_has_is_refused() -> None:
-    found = zo.search_event_gains(
-        "clapper",
-        vary={"omega": (0.29, 0.31)},
-        objective=zo.TargetPeriod(target=24.0),
+    found = zo.search_gains(
+        "hopper",
+        vary={"a": (15.0, 25.0)},
+        objective=zo.TargetAmplitude(state="height", target=9.0),
         method=PROGRAM,
     )
     assert found.orbit is None
     assert found.detail.startswith("The program found no optimum")
+    with pytest.raises(zo.InputError, match="must be a whole number of turns of the clock"):
+        zo.search_gains(
+            "clapper", vary={"omega": (0.29, 0.31)}, objective=zo.TargetPeriod(target=24.0)
+        )
 
 
 def test_shooting_replaces_an_optimum_that_the_check_refuses() -> None:
@@ -281,12 +285,13 @@ def test_shooting_replaces_an_optimum_that_the_check_refuses() -> None:
         checked.append(orbit)
         return Verdict(objection="" if len(checked) > 1 else "refused once")
 
-    found = search_event_orbits(
+    found = search_orbits(
         problem,
         problem.values(),
         free={"a": (15.0, 25.0)},
         objective=zo.MinImpactLoss(),
         accept=once,
+        settings=zo.SearchSettings(n_starts=0),
     )
     assert found.method is SHOOTING
     assert found.remarks[0].endswith("was refused: refused once")
@@ -301,10 +306,8 @@ def test_every_search_tells_the_optimum_that_it_reached() -> None:
         "bounds": [zo.Bound(name="stop.impact_speed", lower=2.0)],
     }
     once = zo.SearchSettings(n_starts=0)
-    for found in (
-        zo.search_gains("hopper", **asked, settings=once),
-        zo.search_event_gains("hopper", **asked, n_starts=0),
-    ):
+    for method in (PROGRAM, SHOOTING):
+        found = zo.search_gains("hopper", **asked, method=method, settings=once)
         (best,) = found.candidates
         assert found.unwrap() == best.orbit
         assert found.status.name == "FOUND"
@@ -321,13 +324,13 @@ def test_every_search_tells_the_optimum_that_it_reached() -> None:
 
 def test_a_refused_orbit_is_no_answer() -> None:
     problem = zo.load_problem("hopper")
-    found = search_event_orbits(
+    found = search_orbits(
         problem,
         problem.values(),
         free={},
         accept=lambda _: Verdict(objection="It is refused."),
     )
-    assert found.orbit is not None
+    assert found.orbit is None
     assert found.candidates == ()
     assert (found.status.name, found.attempts[0].detail) == ("NOT_ACCEPTED", "It is refused.")
     with pytest.raises(zo.OrbitNotFoundError, match="were not accepted"):

@@ -48,7 +48,7 @@ def _searched(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Any:
         def told(*_: Any) -> Generator[StartOutcome]:
             yield from outcomes
 
-        monkeypatch.setattr(search, "outcomes_here", told)
+        monkeypatch.setattr(search, "outcomes", told)
         asked: dict[str, Any] = {"objective": MinEnergy(), **changes}
         return search_orbits(problem, problem.values(), free={"Kp": (1.0, 5.0)}, **asked)
 

@@ -15,7 +15,6 @@ from zeno_orbits.api.inputs import (
     front_door,
     plan_of,
     repeating_problem,
-    whole,
 )
 from zeno_orbits.api.settings import verification_settings
 from zeno_orbits.errors import InputError, named_numbers, number_range
@@ -43,8 +42,12 @@ def find_orbit(
     *,
     gains: Numbers | None = None,
     parameters: Numbers | None = None,
+    near: Orbit | str | Path | None = None,
     start: Numbers | None = None,
+    section: str | None = None,
     shape: EventSequence | None = None,
+    until: float | None = None,
+    method: SearchMethod | None = None,
     settings: SearchSettings | None = None,
     allow_unstable: bool = False,
     on_progress: Progress = silent,
@@ -55,9 +58,13 @@ def find_orbit(
         problem: The problem, its name or its file.
         gains: Gains that differ from their defaults.
         parameters: Parameters that differ from their defaults.
-        start: State name to initial value of the simulation that leads to the orbit. The default is
-            each of the problem's starts.
-        shape: Mode sequence of the orbit. The default is the sequence that a simulation reaches.
+        near: As for `search_gains`.
+        start: As for `search_gains`.
+        section: As for `search_gains`.
+        shape: As for `search_gains`.
+        until: As for `search_gains`.
+        method: The default is `SearchMethod.SHOOTING`: a simulation closes the orbit. The other
+            methods also compare it with a nonlinear program, which takes longer.
         settings: Limits and tolerances of the search.
         allow_unstable: Accept an unstable orbit. The default rejects it, like the command.
         on_progress: Called with the stage and the part of it that is done.
@@ -67,8 +74,9 @@ def find_orbit(
         Floquet multipliers, or raises `OrbitNotFoundError`.
 
     Raises:
-        InputError: If a name is unknown or a value is out of range.
+        InputError: If a name is unknown, a value is out of range, or the section does not occur.
     """
+    from zeno_orbits.search import SearchMethod as Method
     from zeno_orbits.search import SearchSettings as Settings
 
     return search_gains(
@@ -76,8 +84,12 @@ def find_orbit(
         vary={},
         gains=gains,
         parameters=parameters,
+        near=near,
         start=start,
+        section=section,
         shape=shape,
+        until=until,
+        method=method or Method.SHOOTING,
         settings=replace(settings or Settings(), n_starts=0),
         allow_unstable=allow_unstable,
         on_progress=on_progress,
@@ -95,7 +107,10 @@ def search_gains(
     objective: Objective | None = None,
     bounds: Sequence[Bound] = (),
     near: Orbit | str | Path | None = None,
+    section: str | None = None,
     shape: EventSequence | None = None,
+    until: float | None = None,
+    method: SearchMethod | None = None,
     settings: SearchSettings | None = None,
     allow_unstable: bool = False,
     accuracy: float | None = None,
@@ -113,13 +128,23 @@ def search_gains(
         gains: Gains that differ from their defaults: the initial value of a free gain, the value of
             a fixed gain.
         parameters: Parameters that differ from their defaults, free or fixed in the same way.
-        start: State name to initial value of the simulations that lead to orbits.
+        start: State name to initial value of the simulations that lead to orbits. The default is
+            each of the problem's starts.
         objective: The objective. The default is the orbit with values nearest to their initial
             values.
-        bounds: Bounds that the orbit must satisfy.
-        near: A known orbit to start from, or its file.
+        bounds: Bounds on signals, on the period, the energy, the spectral radius and margins, and
+            on quantities of events, such as ``closed.impact_speed``. With uncertain parameters they
+            hold at every corner.
+        near: A known orbit to start from, or its file. Its gains and parameters replace the
+            defaults, and no motion has to settle.
+        section: Name of the event at which the period starts and ends, such as ``zeno knee`` or
+            ``switch heel strike``. The default is chosen by the program.
         shape: Mode sequence of the orbit of a machine with the stop `stop`. The default is the
             sequence that a simulation reaches.
+        until: Longest time to settle [s]. The default is 400 of the problem's slowest oscillations,
+            or longer for a motion whose returns converge.
+        method: How the optimum is found. The default is `SearchMethod.AUTO`: a nonlinear program
+            whose optimum shooting checks, or shooting.
         settings: Limits and tolerances of the search.
         allow_unstable: Accept unstable orbits.
         accuracy: Largest relative error of the orbit. The settings follow it.
@@ -130,15 +155,17 @@ def search_gains(
         on_progress: Called with the stage and the part of it that is done.
 
     Returns:
-        The verified orbits, the best first, or the reason of the failure.
+        The result of the search. ``.unwrap()`` returns the best verified orbit, or raises
+        `OrbitNotFoundError` with the reason of the failure.
 
     Raises:
-        InputError: If a name is unknown, a value is out of range, or the lower end of a range lies
-            above its upper end.
+        InputError: If a name is unknown, a value is out of range, the lower end of a range lies
+            above its upper end, or the objective needs another machine.
         WorkError: If the workers cannot finish.
     """
+    from zeno_orbits.search import SearchMethod as Method
     from zeno_orbits.search import SearchSettings as Settings
-    from zeno_orbits.search import search
+    from zeno_orbits.search import TransientSettings, search
 
     known = repeating_problem(problem)
     orbit = None if near is None else _near(near, known)
@@ -152,8 +179,11 @@ def search_gains(
         allow_unstable=allow_unstable,
         accuracy=accuracy,
     )
+    settings = settings or Settings()
     if accuracy is not None:
-        settings = (settings or Settings()).for_accuracy(accuracy)
+        settings = settings.for_accuracy(accuracy)
+    if until is not None:
+        settings = replace(settings, settling=TransientSettings(horizon=until))
     values = start_values(known, near=orbit, gains=gains, parameters=parameters)
     result = search.search_orbits(
         known,
@@ -166,176 +196,10 @@ def search_gains(
         accept=judge,
         on_progress=on_progress,
         spread=spread,
-        shape=shape,
-        initial_states=() if start is None else (named_numbers("start", start),),
-    )
-    return _with_certificates(result, bounds)
-
-
-@front_door
-def find_event_orbit(
-    problem: Named,
-    *,
-    gains: Numbers | None = None,
-    parameters: Numbers | None = None,
-    near: Orbit | str | Path | None = None,
-    start: Numbers | None = None,
-    section: str | None = None,
-    shape: EventSequence | None = None,
-    until: float | None = None,
-    settings: SimulationSettings | None = None,
-    on_progress: Progress = silent,
-) -> Orbit:
-    """Find the orbit to which a machine settles, and verify it.
-
-    It is `find_orbit_by_shooting` and `verify` in one call.
-
-    Args:
-        problem: The problem, its name or its file.
-        gains: Gains that differ from their defaults.
-        parameters: Parameters that differ from their defaults.
-        near: As for `find_orbit_by_shooting`.
-        start: As for `find_orbit_by_shooting`.
-        section: As for `find_orbit_by_shooting`.
-        shape: As for `find_orbit_by_shooting`.
-        until: As for `find_orbit_by_shooting`.
-        settings: Integrator and accuracy.
-        on_progress: Called with the stage and the part of it that is done.
-
-    Returns:
-        The orbit with its certificate and multipliers. `certificate["passed"]` is the verdict.
-
-    Raises:
-        InputError: If a name is unknown, a value is out of range, or the drive is a corrected one.
-        SimulationError: If no motion settles to an orbit.
-    """
-    from zeno_orbits.search import settled_event_orbit as find
-    from zeno_orbits.verification import verify, with_certificate
-
-    known = repeating_problem(problem)
-    begin = None if near is None else _near(near, known)
-    orbit = find(
-        known,
-        start_values(known, near=begin, gains=gains, parameters=parameters),
-        near=begin,
-        start=start,
         section=section,
         shape=shape,
-        until=until,
-        simulation=settings,
-        on_progress=on_progress,
-    )
-    return with_certificate(orbit, verify(orbit, known, on_progress=on_progress))
-
-
-@front_door
-def search_event_gains(
-    problem: Named,
-    *,
-    vary: Mapping[str, tuple[float, float]] | None = None,
-    gains: Numbers | None = None,
-    parameters: Numbers | None = None,
-    start: Numbers | None = None,
-    near: Orbit | str | Path | None = None,
-    objective: Objective | None = None,
-    bounds: Sequence[Bound] = (),
-    section: str | None = None,
-    shape: EventSequence | None = None,
-    until: float | None = None,
-    n_starts: int = 12,
-    seed: int = 0,
-    candidates: int = 1,
-    method: SearchMethod | None = None,
-    allow_unstable: bool = False,
-    settings: SimulationSettings | None = None,
-    workers: int = 1,
-    plan: ExecutionPlan | None = None,
-    on_progress: Progress = silent,
-) -> SearchResult:
-    """Find gains of an orbit of events, and verify the orbit.
-
-    It searches from one start, unless several orbits are requested, and also chooses the section
-    and the method. The stop of a machine with one stop is named `stop`.
-
-    Args:
-        problem: The problem, its name or its file.
-        vary: Name to range of the gains and parameters to search. The default is every gain that
-            ``gains`` does not fix, in the range that the problem declares.
-        gains: Gains that differ from their defaults: the initial value of a free gain, the value of
-            a fixed gain.
-        parameters: Parameters that differ from their defaults, free or fixed in the same way.
-        start: State name to initial value of the simulation. The default is each of the problem's
-            starts.
-        near: A known orbit of events to start from, or its file. Its gains and parameters replace
-            the defaults, and no motion has to settle.
-        objective: `NearestGains` (the default), `TargetPeriod`, `TargetAmplitude`, `MinEnergy`,
-            `MinPeak`, `MinSpectralRadius`, `MaxMargin`, `MaxPush`, `MinImpactLoss` or
-            `MinBounceTime`.
-        bounds: Bounds on signals, on the period, the energy, the spectral radius and margins, and
-            on quantities of events, such as ``closed.impact_speed``. With uncertain parameters they
-            hold at every corner.
-        section: Name of the event at which the period starts and ends. The default is chosen by the
-            program.
-        shape: Mode sequence of the orbit of a machine with the stop `stop`. The default is the
-            sequence that a simulation reaches.
-        until: Longest time to settle [s].
-        n_starts: Number of further starts in the ranges, if no motion settles at the first, or if
-            several orbits are searched.
-        seed: Seed of these starts, and of initial states.
-        candidates: Number of different verified orbits to find and rank. If it is larger than 1,
-            all starts count, and motions also start from initial states around the best orbit.
-        method: How the optimum is found. The default is `SearchMethod.AUTO`: a nonlinear program
-            whose optimum shooting checks, or shooting.
-        allow_unstable: Rank unstable orbits, too.
-        settings: Integrator and accuracy.
-        workers: Number of processes that try starts. Several processes need the name or the file
-            of the problem. The result is independent of their number.
-        plan: Executor of the work and folder of finished starts. It overrides ``workers``.
-        on_progress: Called with the stage and the part of it that is done.
-
-    Returns:
-        The orbit with its certificate and the values of the objective, or the reason why there is
-        none: no orbit keeps the bounds, or an impact vanishes at the optimum.
-
-    Raises:
-        InputError: If a name is unknown, a value is out of range, or the objective needs another
-            machine.
-        SimulationError: If no motion settles to an orbit.
-        WorkError: If the workers cannot finish.
-    """
-    from zeno_orbits.search import SearchMethod as Method
-    from zeno_orbits.search import StartWorkers
-    from zeno_orbits.search import search_event_orbits as search
-
-    if candidates < 1:
-        raise InputError(f"Argument `candidates` must be at least 1, but it is {candidates}.")
-    known = repeating_problem(problem)
-    begin = None if near is None else _near(near, known)
-    shared = plan_of(workers, plan)
-    spread = None
-    if shared is not None:
-        spread = StartWorkers(problem_file=file_of(problem), plan=shared, tell=on_progress)
-    result = search(
-        known,
-        start_values(known, near=begin, gains=gains, parameters=parameters),
-        near=begin,
-        free=_boxes(known, gains, vary),
-        objective=objective,
-        bounds=bounds,
-        start=start,
-        section=section,
-        shape=shape,
-        until=until,
-        n_starts=n_starts,
-        seed=whole("seed", seed),
-        candidates=candidates,
         method=method or Method.AUTO,
-        accept=Verified(
-            problem=known if shared is None else file_of(problem), allow_unstable=allow_unstable
-        ),
-        simulation=settings,
-        on_progress=on_progress,
-        spread=spread,
+        initial_states=() if start is None else (named_numbers("start", start),),
     )
     return _with_certificates(result, bounds)
 

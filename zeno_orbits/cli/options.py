@@ -289,6 +289,23 @@ def add_problem_file(parser: argparse.ArgumentParser, dest: str = "problem") -> 
     )
 
 
+def require_phases(orbit: zo.Orbit, option: str) -> None:
+    """Refuse an option that an orbit lacks, because its period is no sequence of phases.
+
+    Args:
+        orbit: The orbit.
+        option: The option as it was typed.
+
+    Raises:
+        InputError: If the machine has several stops, a switch or a kink.
+    """
+    if orbit.phases_as is None:
+        raise InputError(
+            f"Option `{option}` needs a machine with one stop, no switch and no kink, in this "
+            "version: leave it out."
+        )
+
+
 def add_accuracy(parser: argparse.ArgumentParser) -> None:
     """Add the accuracy and the engine."""
     parser.add_argument(

@@ -43,7 +43,10 @@ def answer(
         zo.write_orbit(orbit, options.output)
     said = on_the_optimum(options, problem, result, notes)
     if options.json:
-        told = {"notes": [*filter(None, [result.detail]), *said]} if notes.free else {}
+        told: dict[str, Any] = {}
+        if notes.free or options.candidates > 1:
+            told["notes"] = [*filter(None, [result.detail]), *said]
+            told["search"] = result.as_json()
         print_json(orbit.as_json() | ranking(options, result) | told)
         return YES
     free = result.attempts[0].parameters
@@ -56,6 +59,9 @@ def answer(
         report.print_candidates(result)
     if options.states:
         report.print_orbit(problem, orbit, certificate, free)
+    objective = notes.objective
+    if notes.free and (objective.is_measured or objective.prescribes or objective.goal):
+        report.print_reached(result, objective.wish)
     report.print_lines(said)
     report.print_bounds(certificate.asked)
     if notes.held:
@@ -74,7 +80,7 @@ def on_the_optimum(
     result: zo.SearchResult,
     notes: api.SearchNotes,
 ) -> list[str]:
-    """Return the requested and reached values, and possible improvements, as sentences.
+    """Return possible improvements of the objective, and missing orbits, as sentences.
 
     Args:
         options: Options of the command.
@@ -85,7 +91,7 @@ def on_the_optimum(
     if not notes.free:
         return lacking_orbits(options, result)
     best, objective = result.candidates[0], notes.objective
-    said = report.objective_reached(objective.wish, best.extents, objective.quantities)
+    said: list[str] = []
     if objective.quantities and best.score > objective.least:
         one = best.starts == 1
         said.append(_LOCAL if one else f"{best.starts} of {len(result.attempts)} starts led there.")
@@ -130,10 +136,12 @@ def _say_no(
                 "far": list(notes.far),
                 "try": hints,
                 "older_output": older,
+                "search": result.as_json(),
             }
         )
         return
     report.print_search(result)
+    report.print_bounds(result.asked)
     report.print_lines(notes.far)
     report.print_whole(f"Try: {hint}" for hint in hints)
     if older:
@@ -157,6 +165,10 @@ def _levers(
         found.append(f"{map_command(problem, options, notes)}, to see where orbits are.")
         if options.shape is not None:
             found.append("omit --shape, to accept any orbit that the simulation converges to.")
+    found += [
+        f'--bounds "{bound.name}={bound.text}", to keep a least speed.'
+        for bound in result.least_speeds
+    ]
     if result.repels:
         found.append("--allow-unstable, to accept an unstable orbit.")
     if notes.bounds:

@@ -5,9 +5,9 @@ check. `orbit_by_shooting` closes an orbit of any machine by simulation alone.
 
 Offers: `orbit_at_gains` and `search_orbits` (with `SearchSettings`, a `SearchResult` of `Candidate`
 orbits, `Verdict` for checks, `StartWorkers`), `orbit_by_shooting` and `settled_return`,
-`search_event_orbits` with its `SearchMethod`, `orbit_by_program` (a `ProgramTask` to a
-`ProgramOrbit`, for every event sequence), and the objectives: `NearestGains`, `TargetPeriod`,
-`TargetAmplitude`, `MinEnergy`, `MinPeak`, `MinSpectralRadius`, `MaxMargin`, `MaxPush`.
+`SearchMethod`, `orbit_by_program` (a `ProgramTask` to a `ProgramOrbit`), and the objectives:
+`NearestGains`, `TargetPeriod`, `TargetAmplitude`, `MinEnergy`, `MinPeak`, `MinSpectralRadius`,
+`MaxMargin`, `MaxPush`.
 
 Imports: maps, verification, orbits, simulation, model, integrators, work, arrays, errors.
 """

@@ -4,7 +4,6 @@ from .closing.closing import orbit_by_shooting as orbit_by_shooting
 from .closing.closing import event_orbit_of as event_orbit_of
 from .closing.closing import settled_event_orbit as settled_event_orbit
 from .closing.closing import settled_return as settled_return
-from .event_search import search_event_orbits as search_event_orbits
 from .starts.multistart import StartWorkers as StartWorkers
 from .number_notes import at_ends as at_ends
 from .number_notes import free_gains as free_gains
@@ -26,7 +25,7 @@ from .objectives import OBJECTIVES as OBJECTIVES
 from .objectives import ObjectiveWord as ObjectiveWord
 from .objectives import Operand as Operand
 from .outcome import Candidate as Candidate
-from .outcome import Verdict as Verdict
+from .search_problem import Verdict as Verdict
 from .outcome import OrbitNotFoundError as OrbitNotFoundError
 from .outcome import SearchResult as SearchResult
 from .outcome import StartAttempt as StartAttempt

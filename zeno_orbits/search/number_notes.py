@@ -20,14 +20,15 @@ def free_gains(problem: Problem, fixed: Collection[str] = ()) -> dict[str, tuple
 
 
 def is_driven(problem: Problem) -> bool:
-    """Return True if a drive or a clock can supply the energy that impacts dissipate.
+    """Return True if a drive, clock, switch or kink can supply the energy that impacts dissipate.
 
     Args:
         problem: The problem.
     """
-    compiled = problem.compiled()
+    compiled = problem.compiled_graph()
     has_currents = len(problem.state_names) > 2 * compiled.n_q
-    return bool(problem.gains) or has_currents
+    graph = compiled.graph
+    return bool(problem.gains or graph.switches or graph.conditions) or has_currents
 
 
 _FAR = 100.0

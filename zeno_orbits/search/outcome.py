@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,31 +19,6 @@ from zeno_orbits.search.settings import SearchMethod, SearchStatus
 from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import OrbitCertificate
 from zeno_orbits.work import Columns, TableRepr, by_name
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
-    """The verdict of a check on an orbit.
-
-    Attributes:
-        objection: Reason of a rejection. Empty for an accepted orbit.
-        certificate: The certificate of the check, if available.
-    """
-
-    objection: str = ""
-    certificate: OrbitCertificate | None = None
-
-    @property
-    def repels(self) -> bool:
-        """Return True if the orbit is rejected only because it is unstable."""
-        certificate = self.certificate
-        return bool(
-            self.objection and certificate and certificate.passed and not certificate.stable
-        )
-
-
-Accept = Callable[[Orbit], Verdict]
-"""A check of the orbits of a search."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,8 +124,7 @@ class SearchResult(TableRepr):
 
     Attributes:
         status: Status of the search.
-        orbit: The best orbit, or ``None`` after a failure. The orbit of a search from one start
-            that its check refuses remains, with the status `SearchStatus.NOT_ACCEPTED`.
+        orbit: The best orbit, or ``None`` after a failure.
         certificate: Certificate of the orbit, ``None`` without a check.
         objective: The objective.
         free: Name to free value at the end of the search.
@@ -161,13 +135,13 @@ class SearchResult(TableRepr):
         asked: The bounds with the ranges that the orbit reaches.
         vanishing: Speed of each impact that vanishes at the end of the search, by its stop.
         least_speeds: Bounds that keep a tenth of the first speeds of these impacts.
-        n_orbits: Number of orbits that were closed.
+        n_orbits: Number of orbits that were closed from all starts.
         push: The least push at the worst corner, if the objective is the largest one.
         method: The method that found the optimum. Never `SearchMethod.AUTO`.
-        remarks: What one method says about the optimum of the other one, and whether the optimum
-            may be local, as sentences.
+        remarks: What one method says about the optimum of the other one, as sentences.
         residuals: Row name to scaled violation in the program of the best start.
-        agreement: Relative difference of program and simulation over one period.
+        agreement: Relative difference of program and simulation over one period. Infinite without a
+            program, as for shooting.
         closure_error: Estimated relative error of the Zeno closure.
         n_unknowns: Number of unknowns of the program.
         iterations: Number of Ipopt iterations for the program.

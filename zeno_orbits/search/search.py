@@ -10,23 +10,31 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.errors import InputError
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Bound, EventSequence, Orbit, asked_and_reached
+from zeno_orbits.orbits import (
+    Bound,
+    EventReturn,
+    EventSequence,
+    Orbit,
+    asked_and_reached,
+    orbit_event_name,
+)
+from zeno_orbits.search.closing.closing import return_near
 from zeno_orbits.search.objectives import NearestGains, Objective, TargetPeriod
 from zeno_orbits.search.outcome import (
-    Accept,
     Candidate,
     SearchResult,
     StartAttempt,
     StartOutcome,
 )
-from zeno_orbits.search.search_problem import SearchProblem, with_targets
-from zeno_orbits.search.settings import SearchSettings, SearchStatus
-from zeno_orbits.search.starts.candidates import has_last_event
-from zeno_orbits.search.starts.multistart import StartWorkers, outcomes_here, outcomes_spread
+from zeno_orbits.search.search_problem import Accept, SearchProblem, with_targets
+from zeno_orbits.search.settings import SearchMethod, SearchSettings, SearchStatus
+from zeno_orbits.search.starts.multistart import StartWorkers, outcomes
 from zeno_orbits.search.starts.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close
 from zeno_orbits.search.validation import check_search
+from zeno_orbits.simulation import state_before
 from zeno_orbits.work import Progress, silent
 
 
@@ -62,6 +70,8 @@ def search_orbits(
     on_progress: Progress = silent,
     spread: StartWorkers | None = None,
     shape: EventSequence | None = None,
+    section: str | None = None,
+    method: SearchMethod = SearchMethod.AUTO,
     initial_states: Sequence[Mapping[str, float]] = (),
 ) -> SearchResult:
     """Find gains, parameters and initial states of an orbit, from a sequence of starts.
@@ -85,6 +95,8 @@ def search_orbits(
             module, or a frozen dataclass with ``__call__``.
         shape: The shape of the orbits. The default is the shape of ``near``, or of the simulated
             attractor.
+        section: Name of the event at which the period starts and ends. The default is chosen.
+        method: How an optimum is found.
         initial_states: Initial states of the simulations that find orbits, name to value. The
             default is the problem's initial states.
 
@@ -92,8 +104,9 @@ def search_orbits(
         The accepted orbits, the best first, or the reason of a failure.
 
     Raises:
-        InputError: If a name is unknown, a lower bound exceeds its upper bound, or the executor or
-            the checkpoint of ``spread`` is not usable.
+        InputError: If a name is unknown, a lower bound exceeds its upper bound, the objective or a
+            bound is about an event that no orbit has, or the executor or the checkpoint of
+            ``spread`` is not usable.
         WorkError: If the workers of ``spread`` cannot finish.
     """
     objective = objective or NearestGains(target={})
@@ -105,6 +118,9 @@ def search_orbits(
         bounds=tuple(bounds),
         near=near,
         shape=shape,
+        section=section,
+        method=method,
+        accept=accept,
         initial_states=tuple(initial_states),
         settings=settings or SearchSettings(),
         on_progress=on_progress,
@@ -115,9 +131,7 @@ def search_orbits(
         search = replace(search, shape=agreed)
     search = with_targets(search)
     _require_reach(search)
-    if spread is None:
-        return _ranked(search, outcomes_here(search, accept), accept)
-    return _ranked(search, outcomes_spread(search, accept, spread), accept)
+    return _ranked(search, outcomes(search, spread))
 
 
 def _require_reach(search: SearchProblem) -> None:
@@ -128,19 +142,18 @@ def _require_reach(search: SearchProblem) -> None:
         require_period_in_reach(search, search.objective)
 
 
-def _ranked(
-    search: SearchProblem, outcomes: Generator[StartOutcome], accept: Accept | None
-) -> SearchResult:
+def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchResult:
     """Rank the outcomes of starts, in the order of the starts, until enough orbits are found."""
     started = time.perf_counter()
     attempts: list[StartAttempt] = []
     candidates: list[Candidate] = []
     best: StartOutcome | None = None
-    failures = 0
+    failures = n_orbits = 0
     # Closing the generator stops the workers on other starts.
     with closing(outcomes):
         for outcome in outcomes:
             attempts.append(_attempt(search, outcome))
+            n_orbits += 0 if outcome.result is None else outcome.result.n_orbits
             failures += outcome.status not in (SearchStatus.NO_GUESS, SearchStatus.FOUND)
             if outcome.candidate is None:
                 best = outcome if best is None else max(best, outcome, key=_merit)
@@ -156,7 +169,7 @@ def _ranked(
                 break
     n_states = 0
     if candidates and (search.settings.candidates > 1 or search.seeks_optimum):
-        candidates, n_states, best = _with_coexisting(search, candidates, best, accept)
+        candidates, n_states, best = _with_coexisting(search, candidates, best)
     if best is None:
         raise InputError("Argument `settings` must allow a start.")
     ranked = tuple(sorted(candidates, key=lambda one: one.score))
@@ -166,6 +179,7 @@ def _ranked(
         status=best.status,
         **_of_best(search, ranked[0]) if ranked else {},
         objective=search.objective,
+        n_orbits=n_orbits,
         residuals=best.residuals,
         agreement=best.agreement,
         closure_error=best.closure_error,
@@ -198,7 +212,6 @@ def _with_coexisting(
     search: SearchProblem,
     candidates: list[Candidate],
     outcome: StartOutcome | None,
-    accept: Accept | None,
 ) -> tuple[list[Candidate], int, StartOutcome | None]:
     """Add candidates from other attractors, at the values of the best candidate.
 
@@ -211,9 +224,9 @@ def _with_coexisting(
     best = min(candidates, key=lambda one: one.score).orbit
     search.tell("looking for other attractors from other initial states")
     for found in coexisting_orbits(search, best):
-        if any(has_last_event(search.problem, one.orbit, found) for one in candidates):
+        if any(_has_last_event(search, one.orbit, found) for one in candidates):
             continue
-        other = try_orbit(search, best.values(search.problem), found, accept)
+        other = try_orbit(search, best.values(search.problem), found)
         if other.candidate is not None:
             if other.candidate.score < min(one.score for one in candidates):
                 outcome = other
@@ -221,17 +234,21 @@ def _with_coexisting(
     return candidates, N_STATES, outcome
 
 
-def _has_start_of(search: SearchProblem, orbit: Orbit, other: Orbit) -> bool:
-    """Return True if a period of another orbit starts at one of the events of an orbit."""
+def _has_last_event(search: SearchProblem, orbit: Orbit, found: EventReturn) -> bool:
+    last = found.events[-1]
+    return _has_event(search, orbit, orbit_event_name(last), np.asarray(state_before(last)))
+
+
+def _has_event(search: SearchProblem, orbit: Orbit, name: str, state: Vector) -> bool:
+    """Return True if an orbit has an event of a name at a state just before it, ``(n_x,)``."""
     problem = search.problem
-    state = np.array(problem.state_vector(other.events[-1].state))
     events = [(one.name, np.array(problem.state_vector(one.state))) for one in orbit.events]
     largest = np.max(np.abs(np.array([at for _, at in events])), axis=0)
     graph = problem.graph_dynamics(orbit.values(problem))
     sizes = graph.own.not_small(largest, SAME_STATE)
     return any(
-        name == other.events[-1].name and bool(np.all(np.abs(at - state) <= SAME_STATE * sizes))
-        for name, at in events
+        other == name and bool(np.all(np.abs(at - state) <= SAME_STATE * sizes))
+        for other, at in events
     )
 
 
@@ -294,19 +311,29 @@ def _same(search: SearchProblem, one: Candidate, other: Candidate) -> bool:
     """Return True if two candidates are the same orbit at the same values.
 
     The values of an optimum are less accurate than its score, as the score is flat there.
+    Attractors may coexist at the same values with the same period and score, so the first orbit is
+    followed to the values of the other one.
     """
-    if one.orbit.sequence != other.orbit.sequence:
-        return False
+    problem, last = search.problem, one.orbit.events[-1]
+    at_once = _has_event(search, other.orbit, last.name, np.array(problem.state_vector(last.state)))
     if not search.free:
-        return _has_start_of(search, other.orbit, one.orbit)
-    a, b = one.orbit.values(search.problem), other.orbit.values(search.problem)
+        return at_once
+    a, b = one.orbit.values(problem), other.orbit.values(problem)
     pairs = [(a.number(name), b.number(name)) for name in search.free]
     pairs.append((one.orbit.period, other.orbit.period))
     close = SAME
     if search.seeks_optimum:
         close = SAME_OPTIMUM
         pairs.append((one.score, other.score))
-    return are_close(pairs, close)
+    if sorted(one.orbit.sequence) != sorted(other.orbit.sequence) or not are_close(pairs, close):
+        return False
+    if at_once:
+        return True
+    try:
+        there = return_near(problem, b, one.orbit, simulation=search.settings.simulation)
+    except ZenoOrbitsError:
+        return one.orbit.sequence == other.orbit.sequence
+    return _has_last_event(search, other.orbit, there)
 
 
 def _enough_failures(search: SearchProblem) -> int:

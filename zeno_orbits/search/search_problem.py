@@ -1,8 +1,8 @@
-"""A search as a value: its problem, its objective with bounds, and its settings."""
+"""A search as a value: its problem, its objective with bounds, its check and its settings."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -10,16 +10,42 @@ from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.orbits import Bound, EventSequence, Orbit
 from zeno_orbits.search.nearness import nearness_of
 from zeno_orbits.search.objectives import NearestGains, Objective
-from zeno_orbits.search.settings import SearchSettings
+from zeno_orbits.search.settings import SearchMethod, SearchSettings
 from zeno_orbits.simulation import Extent
+from zeno_orbits.verification import OrbitCertificate
 from zeno_orbits.work import Progress, silent
 
 _OF_THIS_PROCESS = ("problem", "on_progress")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """The verdict of a check on an orbit.
+
+    Attributes:
+        objection: Reason of a rejection. Empty for an accepted orbit.
+        certificate: The certificate of the check, if available.
+    """
+
+    objection: str = ""
+    certificate: OrbitCertificate | None = None
+
+    @property
+    def repels(self) -> bool:
+        """Return True if the orbit is rejected only because it is unstable."""
+        certificate = self.certificate
+        return bool(
+            self.objection and certificate and certificate.passed and not certificate.stable
+        )
+
+
+Accept = Callable[[Orbit], Verdict]
+"""A check of the orbits of a search."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SearchProblem:
-    """A search: its problem, its objective with bounds, and its settings.
+    """A search: its problem, its objective with bounds, its check and its settings.
 
     Attributes:
         problem: The problem.
@@ -29,6 +55,9 @@ class SearchProblem:
         bounds: Bounds that the orbit must satisfy.
         near: A known orbit to start from.
         shape: The shape of the orbit. By default any shape is accepted.
+        section: Name of the event at which the period starts and ends. By default it is chosen.
+        method: How an optimum is found.
+        accept: Check of the orbits. By default all orbits are accepted.
         initial_states: Initial states of the simulations that find orbits, name to value. If it is
             empty, they are the problem's own.
         order: Indices of the scan points at which it starts, in order. ``None`` before a scan.
@@ -43,6 +72,9 @@ class SearchProblem:
     bounds: tuple[Bound, ...] = ()
     near: Orbit | None = None
     shape: EventSequence | None = None
+    section: str | None = None
+    method: SearchMethod = SearchMethod.AUTO
+    accept: Accept | None = None
     initial_states: tuple[Mapping[str, float], ...]
     order: tuple[int, ...] | None = None
     settings: SearchSettings

@@ -8,6 +8,7 @@ from enum import Enum
 
 from zeno_orbits.errors import InputError, any_number, positive_number
 from zeno_orbits.search.program.writer import TranscriptionSettings
+from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.work import Checked, require_kinds
 
 
@@ -26,7 +27,8 @@ class SearchMethod(Enum):
 
     Attributes:
         PROGRAM: A nonlinear program with all impacts, solved by Ipopt, then a simulation.
-        SHOOTING: Orbits that are closed by simulation at every choice of the free values.
+        SHOOTING: Orbits that are closed by simulation at every choice of the free values, without
+            a program.
         AUTO: The program, whose optimum shooting checks. Shooting alone where a program lacks the
             objective or a bound, has extremes of signals, or does not converge.
     """
@@ -61,6 +63,7 @@ class SearchSettings(Checked):
 
     Attributes:
         settling: Limits of the simulation until a motion repeats.
+        simulation: Integrator and accuracy of the simulations that close orbits.
         transcription: Scheme, mesh and closure of the program that is solved beside the simulation.
         agreement: Largest relative difference of program and simulation over one period.
         rounds: Number of meshes, each ten times finer, until they agree.
@@ -70,6 +73,7 @@ class SearchSettings(Checked):
     """
 
     settling: TransientSettings = field(default_factory=TransientSettings)
+    simulation: SimulationSettings = field(default_factory=SimulationSettings)
     transcription: TranscriptionSettings = field(default_factory=TranscriptionSettings)
     agreement: float = 3e-10
     rounds: int = 4

@@ -20,6 +20,7 @@ from zeno_orbits.orbits import (
     multipliers_of_return,
     require_event_quantity,
 )
+from zeno_orbits.search.closing.closing import require_no_other_start
 from zeno_orbits.search.objectives import (
     LEAST_RADIUS,
     MinSpectralRadius,
@@ -48,9 +49,11 @@ def check_search(search: SearchProblem) -> None:
         _check_period(search, search.objective.target)
     _check_multipliers(search)
     check_bounds(problem.graph_dynamics(search.values), search.bounds)
-    if near is not None and near.problem != problem.name:
-        message = f"must be of problem `{problem.name}`, but it is of `{near.problem}`"
-        raise InputError(f"Argument `near` {message}.")
+    if near is not None:
+        if near.problem != problem.name:
+            message = f"must be of problem `{problem.name}`, but it is of `{near.problem}`"
+            raise InputError(f"Argument `near` {message}.")
+        require_no_other_start(search.initial_states, search.section)
 
 
 def _check_boxes(problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:

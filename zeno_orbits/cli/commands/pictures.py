@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.commands.event_orbits import needs_one_stop
 from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_orbit,
     add_problem_file,
     print_json,
+    require_phases,
     say_written,
 )
 from zeno_orbits.cli.outputs import FOLDER, require_outputs
@@ -70,14 +70,13 @@ def _run_plot(options: argparse.Namespace) -> int:
         "time": lambda: plots.plot_time_series(problem, execution),
         "outputs": lambda: plots.plot_outputs(problem, orbit.values(problem), execution),
         "zeno": lambda: plots.plot_zeno_neighbourhood(problem, execution, dynamics),
+        "region": lambda: plots.plot_zeno_set(problem, dynamics, execution),
     }
     rests = any(name.startswith("zeno ") for name in orbit.sequence)
-    has = {"outputs": bool(problem.outputs), "zeno": rests}
-    if orbit.has_phases:
-        draw["region"] = lambda: plots.plot_zeno_set(problem, dynamics, execution)
-        has["region"] = rests and plots.has_zeno_region(dynamics)
-    elif "region" in (options.kind or ()):
-        raise InputError(needs_one_stop("--kind region"))
+    if "region" in (options.kind or ()):
+        require_phases(orbit, "--kind region")
+    region = orbit.phases_as is not None and rests and plots.has_zeno_region(dynamics)
+    has = {"outputs": bool(problem.outputs), "zeno": rests, "region": region}
     kinds = options.kind or [kind for kind in draw if has.get(kind, True)]
     if "outputs" in kinds and not problem.outputs:
         raise InputError(
@@ -197,21 +196,21 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plo
         one=one,
         several=orbit_motion(orbit, problem, dynamics, periods=options.periods),
         periods=options.periods,
-        other=lambda: api.counterpart_for(
-            _with_one_stop(orbit),
-            problem,
-            recording=options.data,
-            periods=options.periods,
-            on_progress=progress,
-        ),
+        other=lambda: _counterpart(options, orbit, problem, progress),
     )
 
 
-def _with_one_stop(orbit: zo.Orbit) -> zo.Orbit:
-    """Return the orbit of a machine with one stop and no switch, and refuse others."""
-    if not orbit.has_phases:
-        raise InputError(needs_one_stop("--kind beside"))
-    return orbit
+def _counterpart(
+    options: argparse.Namespace,
+    orbit: zo.Orbit,
+    problem: zo.Problem,
+    progress: report.ProgressLine,
+) -> Any:
+    """Return the motion that `--kind beside` draws beside the orbit."""
+    require_phases(orbit, "--kind beside")
+    return api.counterpart_for(
+        orbit, problem, recording=options.data, periods=options.periods, on_progress=progress
+    )
 
 
 def _orbit_and_problem(
@@ -226,6 +225,4 @@ def _orbit_and_problem(
         raise InputError(f"Argument `problem` {message}.")
     problem = api.known_problem(str(options.orbit))
     progress("searching for the orbit")
-    if problem.has_graph:
-        return api.find_event_orbit(problem, on_progress=progress), problem
-    return api.search_gains(problem, vary={}, on_progress=progress).unwrap(), problem
+    return api.find_orbit(problem, on_progress=progress).unwrap(), problem

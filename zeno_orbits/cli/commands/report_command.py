@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.commands.event_orbits import needs_one_stop
 from zeno_orbits.cli.commands.prove import add_proof, proof_of
 from zeno_orbits.cli.options import (
     NO,
@@ -17,11 +16,11 @@ from zeno_orbits.cli.options import (
     add_orbit,
     add_shared,
     print_json,
+    require_phases,
     say_written,
 )
 from zeno_orbits.cli.outputs import PAGE, require_outputs
 from zeno_orbits.cli.parsing import read_count, read_number, read_share
-from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import utf8, write_whole
 
@@ -95,8 +94,8 @@ def _run_report(options: argparse.Namespace) -> int:
     bundle = load_bundle()
     orbit = api.any_orbit(options.orbit)
     problem = api.problem_of(orbit, options.problem)
-    if not orbit.has_phases and options.proof is not None:
-        raise InputError(needs_one_stop("--proof"))
+    if options.proof is not None:
+        require_phases(orbit, "--proof")
     settings = api.verification_settings(tolerance=options.tolerance, n_periods=options.periods)
     with report.ProgressLine(options.interrupts.check) as progress:
         subject = api.report_subject(
@@ -111,7 +110,7 @@ def _run_report(options: argparse.Namespace) -> int:
             t_end=options.t_end,
             on_progress=progress,
         )
-        proved = proof_of(options, orbit, problem) if orbit.has_phases else None
+        proved = proof_of(options, orbit, problem)
         progress("writing the page")
         subject = replace(
             subject,

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.commands.event_orbits import asks_for_events, search_events
 from zeno_orbits.cli.options import (
     add_accuracy,
     add_command,
@@ -185,20 +184,14 @@ def _run_search(options: argparse.Namespace) -> int:
     sources = api.energy_notes(problem, numbers, options.problem)
     for note in (*sources, *api.unit_notes(problem, numbers)):
         report.print_note(note)
-    if problem.has_graph or asks_for_events(options):
-        return search_events(options, problem)
-    near = None if options.near is None else api.as_orbit(options.near)
     free = {**api.free_gains(problem), **options.vary}
     free = {name: box for name, box in free.items() if name in options.vary or name not in gains}
-    values = api.start_values(problem, near=near, gains=gains, parameters=parameters)
     require_starts_inside(options.set, free)
     wish = options.objective or read_wish("nearest")
     objective = wish.objective(problem, free)
     if options.uncertain or wish.word == "robustness":
         objective = over_ranges(wish, objective, options.uncertain)
     bounds = tuple(options.bounds.values())
-    if near is not None:
-        near.shape.agreed(options.shape)
     require_outputs(options, {"output": JSON})
     settings = api.search_settings(
         horizon=options.until,
@@ -217,8 +210,10 @@ def _run_search(options: argparse.Namespace) -> int:
             start=options.start or None,
             objective=objective,
             bounds=bounds,
-            near=near,
+            near=options.near,
+            section=options.section,
             shape=options.shape,
+            method=None if options.method is None else api.search_method(options.method),
             settings=settings,
             allow_unstable=options.allow_unstable,
             accuracy=options.accuracy,
@@ -228,6 +223,8 @@ def _run_search(options: argparse.Namespace) -> int:
         )
 
     def finish(result: zo.SearchResult) -> int:
+        near = None if options.near is None else api.any_orbit(options.near)
+        values = api.start_values(problem, near=near, gains=gains, parameters=parameters)
         notes = api.search_notes(problem, values, free=free, objective=objective, bounds=bounds)
         return answer(options, problem, result, notes)
 

@@ -7,7 +7,6 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import api
-from zeno_orbits.cli.commands.event_orbits import require_verifiable
 from zeno_orbits.cli.commands.prove import add_proof, proof_of
 from zeno_orbits.cli.options import (
     NO,
@@ -16,6 +15,7 @@ from zeno_orbits.cli.options import (
     add_command,
     add_orbit,
     print_json,
+    require_phases,
 )
 from zeno_orbits.cli.parsing import read_count, read_share
 from zeno_orbits.errors import InputError
@@ -76,8 +76,13 @@ def _run_verify(options: argparse.Namespace) -> int:
 
     orbit = api.any_orbit(options.orbit)
     _require_few_periods(options, len(orbit.events))
-    if not orbit.has_phases:
-        require_verifiable(options)
+    of_one_stop = {
+        "--proof": options.proof,
+        "--rigorous": options.rigorous,
+        "--model reference": options.model == "reference",
+    }
+    for option in filter(of_one_stop.get, of_one_stop):
+        require_phases(orbit, option)
     problem = api.problem_to_check(orbit, options.problem)
     settings = api.verification_settings(
         accuracy=options.accuracy,

@@ -13,8 +13,6 @@ from .kernels import print_note as print_note
 from .orbits import print_certificate as print_certificate
 from .orbits import print_engine as print_engine
 from .orbits import print_error_estimate as print_error_estimate
-from .orbits import print_event_orbit as print_event_orbit
-from .orbits import print_event_states as print_event_states
 from .orbits import print_execution as print_execution
 from .orbits import print_orbit as print_orbit
 from .orbits import print_summary as print_summary
@@ -27,8 +25,7 @@ from .progress import ProgressLine as ProgressLine
 from .progress import line_for_watcher as line_for_watcher
 from .searches import print_bounds as print_bounds
 from .searches import print_candidates as print_candidates
-from .searches import objective_reached as objective_reached
-from .searches import print_event_search as print_event_search
+from .searches import print_reached as print_reached
 from .searches import print_search as print_search
 from .searches import print_solver as print_solver
 from .studies import print_basin as print_basin

@@ -251,8 +251,10 @@ def print_summary(
     ]
     kind, unknown = _stability(certificate)
     at = f" at {', '.join(given)}" if given else ""
-    shape = orbit.kind if orbit.shape.has_one_release else f"orbit `{orbit.shape.text}`"
-    print_lines([f"Found: {kind}{shape} of {problem.name}{at}{unknown}"])
+    shape = orbit.phases_as
+    text = ", ".join(orbit.sequence) if shape is None else shape.text
+    named = orbit.kind if shape is not None and shape.has_one_release else f"orbit `{text}`"
+    print_lines([f"Found: {kind}{named} of {problem.name}{at}{unknown}"])
     facts = [f"period {orbit.period:.12g} s"]
     if certificate.multipliers:
         facts.append(f"spectral radius {certificate.spectral_radius:.4g}")
@@ -260,6 +262,9 @@ def print_summary(
     if work is not None:
         facts.append(f"input work {work:.4g} {problem.energy_unit} per period")
     print_lines([f"  {', '.join(facts)}"])
+    if shape is None:
+        _print_events(orbit, certificate)
+        return
     for k, phase in enumerate(orbit.phases):
         print_lines(_phase_lines(problem, orbit, k, phase))
 
@@ -273,20 +278,9 @@ def _stability(certificate: OrbitCertificate) -> tuple[str, str]:
     return "", ", of unknown stability"
 
 
-def print_event_orbit(orbit: Orbit, certificate: OrbitCertificate) -> None:
-    """Print an orbit of a machine with several stops or switches, its events and its verdict.
-
-    Args:
-        orbit: The orbit.
-        certificate: Its certificate.
-    """
-    kind, unknown = _stability(certificate)
-    sequence = ", ".join(orbit.sequence)
-    print_lines([f"Found: {kind}orbit `{sequence}` of {orbit.problem}{unknown}"])
-    facts = [f"period {orbit.period:.12g} s"]
-    if certificate.multipliers:
-        facts.append(f"spectral radius {certificate.spectral_radius:.4g}")
-    print_lines([f"  {', '.join(facts)}", ""])
+def _print_events(orbit: Orbit, certificate: OrbitCertificate) -> None:
+    """Print the events of an orbit, the quantities of every stop and the state at its start."""
+    print_lines([""])
     print_table(
         [
             number_column("t [s]", lambda event: f"{event.time:.10g}"),
@@ -300,16 +294,11 @@ def print_event_orbit(orbit: Orbit, certificate: OrbitCertificate) -> None:
         f"{name}={_without_rounding(value, sizes[name]):.10g}"
         for name, value in orbit.start_state.items()
     )
-    print_lines([f"Start, just after `{orbit.events[-1].name}`:", f"  {state}", ""])
-    print_verdict(certificate)
+    print_lines([f"Start, just after `{orbit.section}`:", f"  {state}", ""])
 
 
-def print_event_states(orbit: Orbit) -> None:
-    """Print every state just before every event of an orbit.
-
-    Args:
-        orbit: The orbit.
-    """
+def _print_states(orbit: Orbit) -> None:
+    """Print every state just before every event of an orbit."""
     columns: list[TableColumn[OrbitEvent]] = [
         text_column("before", lambda event: event.name),
         *(_before_column(name, size) for name, size in _sizes_along(orbit).items()),
@@ -390,7 +379,7 @@ def print_orbit(
     certificate: OrbitCertificate,
     free: Iterable[str] = (),
 ) -> None:
-    """Print an orbit and the main values of its certificate.
+    """Print an orbit with every state at every event, and the main values of its certificate.
 
     Args:
         problem: Its problem.
@@ -409,6 +398,8 @@ def print_orbit(
         *_certificate_rows(certificate, problem.energy_unit),
     ]
     print_table(columns, rows)
+    if orbit.phases_as is None:
+        _print_states(orbit)
 
 
 def _value_rows(problem: Problem, orbit: Orbit, free: set[str]) -> Iterator[_Row]:
@@ -422,6 +413,8 @@ def _value_rows(problem: Problem, orbit: Orbit, free: set[str]) -> Iterator[_Row
 
 
 def _phase_rows(problem: Problem, orbit: Orbit) -> Iterator[_Row]:
+    if orbit.phases_as is None:
+        return
     if not orbit.shape.has_one_release:
         yield "shape", orbit.shape.text, ""
     for k, phase in enumerate(orbit.phases):

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
         SearchResult,
         StartAttempt,
     )
-    from zeno_orbits.simulation import Extent
 
 
 def print_search(result: SearchResult) -> None:
@@ -34,13 +33,18 @@ def print_search(result: SearchResult) -> None:
 
 
 def print_solver(result: SearchResult) -> None:
-    """Print the size of the nonlinear program of a search, its agreement and the time."""
+    """Print the nonlinear program of a search with its agreement, or its orbits, and the time."""
+    time = f"Search: {result.wall_time:.1f} s."
+    if not result.n_unknowns:
+        closed = counted(result.n_orbits, "orbit")
+        print_lines([f"Solver: {result.method.value}, which closed {closed}. {time}"])
+        return
     print_lines(
         [
             f"Solver: {counted(result.n_unknowns, 'unknown')}, "
             f"{counted(result.iterations, 'iteration')}, {result.solve_time:.3f} s. "
             f"It agrees with a simulation to {result.agreement:.0e}, its Zeno limit to "
-            f"{result.closure_error:.0e}. Search: {result.wall_time:.1f} s."
+            f"{result.closure_error:.0e}. {time}"
         ]
     )
 
@@ -71,55 +75,20 @@ def _listed(values: Mapping[str, float], digits: int) -> str:
     return ", ".join(f"{name} = {value:.{digits}g}" for name, value in values.items())
 
 
-def objective_reached(
-    wish: str, extents: Mapping[str, Extent], quantities: Sequence[str]
-) -> list[str]:
-    """Return an objective and its value in a simulation of the orbit, as sentences.
+def print_reached(result: SearchResult, wish: str) -> None:
+    """Print an objective, its value at the best orbit, and the free values there.
 
     Args:
+        result: The result of the search.
         wish: The objective in words.
-        extents: Range of each quantity along the orbit, by name.
-        quantities: Names of the quantities in the objective.
     """
-    found: list[str] = []
-    for name in quantities:
-        extent = extents[name]
-        reached = f"{extent.lowest:.8g}"
-        if extent.highest > extent.lowest:
-            reached = f"{extent.lowest:.8g} to {extent.highest:.8g}"
-        found.append(f"Asked for {wish}; measured on a simulation, {name}: {reached}.")
-    return found
-
-
-def print_event_search(result: SearchResult) -> None:
-    """Print the end of a search over the gains of a machine with several stops or switches.
-
-    Args:
-        result: The result.
-    """
-    if result.detail:
-        print_lines([result.detail])
-    for bound in result.least_speeds:
-        print_lines([f'--bounds "{bound.name}={bound.text}" keeps a least speed.'])
-    numbers = _listed(result.free, 10)
     value = result.value if result.mean is None else result.worst
     reached = f": {value:.8g}" if result.is_measured else ""
-    print_lines([f"Asked for {result.objective.wish}{reached}.", f"  {numbers}"])
-    if result.told_push:
-        print_lines([result.told_push])
+    print_lines([f"Asked for {wish}{reached}.", f"  {_listed(result.free, 10)}"])
     if result.mean is not None:
         where = _listed(result.worst_at, 6) or "the search's own values"
-        print_lines(
-            [
-                f"Worst case: {result.worst:.8g} at {where}. "
-                f"Mean over the corners: {result.mean:.8g}."
-            ]
-        )
-    print_bounds(result.asked)
-    print_lines(result.remarks)
-    used = f", {counted(result.iterations, 'iteration')}" if result.iterations else ""
-    orbits = counted(result.n_orbits, "orbit")
-    print_lines([f"Search by {result.method.value}: {orbits}{used}."])
+        mean = f"Mean over the corners: {result.mean:.8g}."
+        print_lines([f"Worst case: {result.worst:.8g} at {where}. {mean}"])
 
 
 def print_bounds(asked: Sequence[Mapping[str, Any]]) -> None:

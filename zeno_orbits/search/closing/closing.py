@@ -206,18 +206,20 @@ def _closed_at(
     return found
 
 
-def require_no_other_start(start: Mapping[str, float] | None, section: str | None) -> None:
+def require_no_other_start(
+    start: Mapping[str, float] | Sequence[Mapping[str, float]] | None, section: str | None
+) -> None:
     """Refuse a start or a section with a known orbit, which has its own.
 
     Args:
-        start: State name to initial value, or ``None``.
+        start: Initial state or states, empty or ``None`` without one.
         section: Name of the event of the section, or ``None``.
 
     Raises:
         InputError: If one of them is given.
     """
     for argument, given in (("start", start), ("section", section)):
-        if given is not None:
+        if given:
             raise InputError(
                 f"Argument `{argument}` must be left out of a search from a known orbit, which has "
                 "its own."

@@ -21,7 +21,6 @@ from zeno_orbits.orbits import (
     Bound,
     EventReturn,
     EventSequence,
-    Orbit,
     StepError,
     asked_and_reached,
     excess,
@@ -31,8 +30,6 @@ from zeno_orbits.orbits import (
 )
 from zeno_orbits.search.closing.closing import (
     event_orbit_of,
-    return_near,
-    settled_return,
 )
 from zeno_orbits.search.measures import Slope
 from zeno_orbits.search.nearness import nearness_of
@@ -61,10 +58,10 @@ from zeno_orbits.search.optimum.points import (
     OrbitsOverValues,
 )
 from zeno_orbits.search.optimum.strength import strongest
-from zeno_orbits.search.outcome import Accept, SearchResult
+from zeno_orbits.search.outcome import SearchResult
 from zeno_orbits.search.program.rounds import ProgramTask, orbit_by_program
 from zeno_orbits.search.program.terms import lacking_terms, signals_of
-from zeno_orbits.search.search_problem import listed
+from zeno_orbits.search.search_problem import Accept, listed
 from zeno_orbits.search.settings import SearchMethod, SearchStatus
 from zeno_orbits.simulation import Extent, SimulationSettings
 from zeno_orbits.work import Progress, silent
@@ -100,12 +97,9 @@ class GainSearch:
         bounds: The bounds.
         method: How the optimum is found.
         accept: Check of the orbits, or ``None``.
-        near: A known orbit at which the search starts, in place of a motion that settles.
-        section: Name of the event at which the period starts and ends. By default it is chosen.
         shape: Phases of the period of a machine with the stop `stop`. The default is any.
         starts: Initial states of motions that settle, name to value. The default is the problem's
             own.
-        until: Longest time to settle [s].
         simulation: Accuracy.
         on_progress: Called with the stage.
     """
@@ -117,44 +111,10 @@ class GainSearch:
     bounds: tuple[Bound, ...]
     method: SearchMethod = SearchMethod.AUTO
     accept: Accept | None = None
-    near: Orbit | None = None
-    section: str | None = None
     shape: EventSequence | None = None
     starts: tuple[Mapping[str, float], ...] = ()
-    until: float | None = None
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
     on_progress: Progress = silent
-
-    def returned(self, place: ParameterValues, start: Mapping[str, float] | None) -> EventReturn:
-        """Return the orbit to which a motion settles, or that the known orbit becomes.
-
-        Args:
-            place: Values of the gains and parameters.
-            start: State name to initial value. By default each start of the problem in turn, or the
-                known orbit.
-
-        Raises:
-            SimulationError: If no motion settles, or the known orbit is lost.
-        """
-        if self.near is not None and start is None:
-            return return_near(
-                self.problem,
-                place,
-                self.near,
-                simulation=self.simulation,
-                on_progress=self.on_progress,
-            )
-        return settled_return(
-            self.problem,
-            place,
-            starts=self.starts if start is None else (start,),
-            section=self.section,
-            shape=self.shape,
-            until=self.until,
-            simulation=self.simulation,
-            changing=(*self.free, *self.objective.parameter_ranges),
-            on_progress=self.on_progress,
-        )
 
     def best(self, found: EventReturn, place: ParameterValues) -> BestOrbit:
         """Return the best orbit near an orbit.
@@ -183,10 +143,14 @@ class GainSearch:
         return other.told(iterations=best.result.iterations, remarks=(remark,))
 
     def _objection(self, best: BestOrbit) -> str:
-        """Return the reason why the check refuses an orbit, empty if it does not."""
+        """Return the reason why the check refuses an orbit, empty if it does not.
+
+        An orbit that is only unstable is replaced by a stable one in a further search.
+        """
         if best.result.orbit is None or self.accept is None:
             return ""
-        return self.accept(best.result.orbit).objection
+        verdict = self.accept(best.result.orbit)
+        return "" if verdict.repels else verdict.objection
 
     def _by(self, method: SearchMethod, found: EventReturn, place: ParameterValues) -> BestOrbit:
         """Return the best orbit by a method, from an orbit."""

@@ -47,18 +47,17 @@ def coexisting_orbits(search: SearchProblem, orbit: Orbit) -> list[EventReturn]:
         periodic orbits of the requested shape are omitted.
     """
     problem, values = search.problem, orbit.values(search.problem)
-    attractors = coexisting_attractors(
-        problem,
-        values,
-        problem.graph_dynamics(values),
-        orbit,
-        until=search.settings.settling.horizon,
-        seed=search.settings.seed,
-    )
     found: list[EventReturn] = []
-    for one in attractors:
+    for one in _attractors(search, values, problem.graph_dynamics(values), orbit):
         try:
-            settled = settled_return(problem, values, starts=(one.state,), shape=search.shape)
+            settled = settled_return(
+                problem,
+                values,
+                starts=(one.state,),
+                section=search.section,
+                shape=search.shape,
+                simulation=search.settings.simulation,
+            )
         except ZenoOrbitsError:
             # The approximate attractor of a short simulation may be none.
             continue
@@ -66,28 +65,11 @@ def coexisting_orbits(search: SearchProblem, orbit: Orbit) -> list[EventReturn]:
     return found
 
 
-def coexisting_attractors(
-    problem: Problem,
-    values: ParameterValues,
-    graph: GraphDynamics,
-    orbit: Orbit,
-    *,
-    until: float | None,
-    seed: int,
+def _attractors(
+    search: SearchProblem, values: ParameterValues, graph: GraphDynamics, orbit: Orbit
 ) -> list[Attractor]:
-    """Return the periodic attractors at the values of an orbit, possibly including this orbit.
-
-    Args:
-        problem: The problem.
-        values: Its parameter values.
-        graph: The graph of modes at these values.
-        orbit: The orbit.
-        until: Longest simulated time [s].
-        seed: Seed of the initial states.
-
-    Returns:
-        Attractors in the order in which the initial states led to them.
-    """
+    """Return the periodic attractors at the values of an orbit, in the order of initial states."""
+    problem, settings = search.problem, search.settings
     start = np.array(problem.state_vector(orbit.start_state))
     first = graph.first
     if first.holonomic(start).size > bool(first.clock):
@@ -95,8 +77,8 @@ def coexisting_attractors(
         return []
     low, high = _box(simulate(graph, start, until=orbit.period, past=orbit.past_switch), start.size)
     found: list[Attractor] = []
-    for state in _states(graph, low, high, seed):
-        one = _attractor(problem, values, state, until)
+    for state in _states(graph, low, high, settings.seed):
+        one = _attractor(problem, values, state, settings.settling.horizon)
         if one is not None and not any(_alike(problem, one, other, high - low) for other in found):
             found.append(one)
     return found

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import ParameterValues, Problem, ProblemFile
-from zeno_orbits.search.outcome import Accept, StartOutcome
+from zeno_orbits.model import ProblemFile
+from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.starts.start import scanned, start_count, try_start
@@ -42,80 +42,45 @@ class StartWorkers:
     tell: Progress = silent
 
 
-RunStarts = Callable[[Sequence[int]], Sequence[Any]]
-"""Function from indices of starts to their results as plain data. It can be pickled."""
-
-
-def results_in_order(
-    task: RunStarts,
-    count: int,
-    spread: StartWorkers,
-    *,
-    problem: Problem,
-    here: RunStarts,
-    identity: Callable[[], Mapping[str, Any]],
-) -> Generator[Any]:
-    """Return the results of the starts of a search in order: first from this process, then others.
+def outcomes(search: SearchProblem, spread: StartWorkers | None) -> Generator[StartOutcome]:
+    """Yield the outcome of each start in order: from this process, then from workers if given.
 
     Most searches end at their first start, before workers could begin.
 
     Args:
-        task: Function from indices of starts to their results as plain data.
-        count: Number of starts.
-        spread: The workers, and the checkpoint of finished starts.
-        problem: The problem of the search.
-        here: The same task for this process.
-        identity: Function that returns all inputs on which a result depends, for the checkpoint.
+        search: The search.
+        spread: The workers, and the checkpoint of finished starts. By default every outcome is
+            computed on demand in this process.
 
     Raises:
         InputError: If the workers load another problem, the executor is not available, or the
             checkpoint belongs to another search.
         WorkError: If the work cannot be finished.
     """
-    if spread.problem_file.load() is not problem:
+    if spread is None:
+        for number in range(start_count(search)):
+            search = scanned(search, number)
+            yield try_start(search, number)
+        return
+    if spread.problem_file.load() is not search.problem:
         wanted = "must be the problem that the workers of `spread` load"
-        raise InputError(f"Argument `problem` {wanted}, but it is another `{problem.name}`.")
+        raise InputError(f"Argument `problem` {wanted}, but it is another `{search.problem.name}`.")
+    search = scanned(search, 0)
+    task = _Task(problem_file=spread.problem_file, question=search.question())
     plan = replace(spread.plan, chunk=1, noun="starts at most")
     if plan.checkpoint is not None:
-        plan = replace(plan, identity={**identity(), **plan.identity})
-    return spread_in_order(task, range(count), plan, here=here, on_progress=spread.tell)
-
-
-def outcomes_here(search: SearchProblem, accept: Accept | None) -> Generator[StartOutcome]:
-    """Yield the outcome of each start, computed on demand in this process."""
-    for number in range(start_count(search)):
-        search = scanned(search, number)
-        yield try_start(search, number, accept)
-
-
-def outcomes_spread(
-    search: SearchProblem, accept: Accept | None, spread: StartWorkers
-) -> Generator[StartOutcome]:
-    """Yield the outcome of each start in order, as `results_in_order`.
-
-    Args:
-        search: The search.
-        accept: Check of an orbit. By default all orbits are accepted.
-        spread: The workers, and the checkpoint of finished starts.
-    """
-    search = scanned(search, 0)
-    question = search.question()
-    task = _Task(problem_file=spread.problem_file, question=question, accept=accept)
-    results = results_in_order(
+        plan = replace(plan, identity={**_identity(task), **plan.identity})
+    results = spread_in_order(
         task,
-        start_count(search),
-        spread,
-        problem=search.problem,
+        range(start_count(search)),
+        plan,
         here=lambda numbers: task.outcomes(search, numbers),
-        identity=lambda: _identity(task),
+        on_progress=spread.tell,
     )
     try:
         for result in results:
-            yield (
-                _lost(result)
-                if isinstance(result, FailedPoint)
-                else from_plain(StartOutcome, result)
-            )
+            lost = isinstance(result, FailedPoint)
+            yield _lost(result) if lost else from_plain(StartOutcome, result)
     finally:
         results.close()
 
@@ -127,12 +92,10 @@ class _Task:
     Attributes:
         problem_file: File from which the worker loads the problem.
         question: The search without its problem.
-        accept: The check of orbits.
     """
 
     problem_file: ProblemFile
     question: Mapping[str, Any]
-    accept: Accept | None
 
     def __call__(self, numbers: Sequence[int]) -> list[dict[str, Any]]:
         """Return the outcomes of starts, as plain data."""
@@ -141,47 +104,24 @@ class _Task:
 
     def outcomes(self, search: SearchProblem, numbers: Sequence[int]) -> list[dict[str, Any]]:
         """Return the outcomes of starts of a given search, as plain data."""
-        return [
-            to_plain(try_start(scanned(search, number), number, self.accept)) for number in numbers
-        ]
+        return [to_plain(try_start(scanned(search, number), number)) for number in numbers]
 
 
 def _identity(task: _Task) -> dict[str, Any]:
-    """Return all inputs on which the outcome of a start depends."""
-    question = dict(task.question)
+    """Return all inputs on which the outcome of a start depends, as plain data."""
+    question, file = dict(task.question), task.problem_file
     # The order follows from the other entries.
     del question["order"]
-    values = question.pop("values")
-    accept = {"accept": to_plain(task.accept, "accept")}
-    return identity_of("search", task.problem_file, values, question, accept)
-
-
-def identity_of(
-    work: str,
-    file: ProblemFile,
-    values: ParameterValues,
-    question: Mapping[str, Any],
-    others: Mapping[str, Any],
-) -> dict[str, Any]:
-    """Return all inputs on which the result of a start depends, as plain data.
-
-    Args:
-        work: Name of the work.
-        file: File of the problem.
-        values: Gains and parameters of the search.
-        question: The search without its problem and these values.
-        others: Further inputs, as plain data.
-    """
-    further = dict(question)
+    values, accept = question.pop("values"), question.pop("accept")
     return {
-        "work": work,
+        "work": "search",
         "problem": file.load().name,
         "problem_digest": file.digest,
         "gains": to_plain(values.gains),
         "parameters": to_plain(values.parameters),
-        "from": to_plain(further.pop("near")),
-        **{name: to_plain(value, name) for name, value in further.items()},
-        **others,
+        "from": to_plain(question.pop("near")),
+        **{name: to_plain(value, name) for name, value in question.items()},
+        "accept": to_plain(accept, "accept"),
         "simulator": simulator_in_use(),
         "versions": versions(),
     }

@@ -12,8 +12,8 @@ from zeno_orbits.search.closing.closing import event_orbit_of
 from zeno_orbits.search.number_notes import far_from_own
 from zeno_orbits.search.objectives import MaxPush, NearestGains
 from zeno_orbits.search.optimum.strength import orbits_at_corners
-from zeno_orbits.search.outcome import Accept, Candidate, SimulatedOrbit, StartOutcome, Verdict
-from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
+from zeno_orbits.search.outcome import Candidate, SimulatedOrbit, StartOutcome
+from zeno_orbits.search.search_problem import Accept, SearchProblem, Verdict, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.starts.strategy import SearchStart, from_orbit, from_start, paths_of
 
@@ -59,41 +59,37 @@ def numbered_start(search: SearchProblem, number: int) -> SearchStart:
     return SearchStart(values=values, near=near, easy=easy, known_empty=again)
 
 
-def try_start(search: SearchProblem, number: int, accept: Accept | None) -> StartOutcome:
+def try_start(search: SearchProblem, number: int) -> StartOutcome:
     """Search from one start and check the orbit.
 
     Args:
         search: The search.
         number: Index of the start, as for `numbered_start`.
-        accept: The check of orbits. By default all orbits are accepted.
     """
     start = numbered_start(search, number)
     name = f"start {number + 1}"
     search.tell(f"{name}: simulating {listed(search.numbers(start.values))}")
     reached = from_start(search, start)
-    outcome, judgement = _judged(search, reached, accept, name)
+    outcome, judgement = _judged(search, reached, name)
     if judgement is not None and judgement.repels and search.free:
-        outcome = _attracting(search, start, accept, name, outcome, judgement)
+        outcome = _attracting(search, start, name, outcome, judgement)
     elif judgement is not None and judgement.objection and reached.is_last and search.free:
-        outcome = _before(search, start, accept, name, outcome, reached)
+        outcome = _before(search, start, name, outcome, reached)
     numbers = {name: start.values.number(name) for name in search.free}
     return _ended(outcome, numbers)
 
 
-def try_orbit(
-    search: SearchProblem, values: ParameterValues, found: EventReturn, accept: Accept | None
-) -> StartOutcome:
+def try_orbit(search: SearchProblem, values: ParameterValues, found: EventReturn) -> StartOutcome:
     """Search from an orbit and check the result.
 
     Args:
         search: The search.
         values: Values of the orbit.
         found: The orbit.
-        accept: The check of orbits. By default all orbits are accepted.
     """
     name = "another attractor"
     wanted = search if search.seeks_optimum else replace(search, free={})
-    outcome, _ = _judged(search, from_orbit(wanted, values, found), accept, name)
+    outcome, _ = _judged(search, from_orbit(wanted, values, found), name)
     numbers = {free: values.number(free) for free in search.free}
     return _ended(outcome, numbers)
 
@@ -101,15 +97,15 @@ def try_orbit(
 def _ended(outcome: StartOutcome, numbers: Mapping[str, float]) -> StartOutcome:
     """Return the outcome of a start for another process: without the simulated orbit."""
     solution = outcome.solution
-    result = None
-    if solution is not None:
+    result = outcome.result if solution is None else solution.result
+    if result is not None:
         # The search knows its objective, and the candidate has the orbit.
-        result = replace(solution.result, orbit=None, objective=NearestGains(target={}))
+        result = replace(result, orbit=None, objective=NearestGains(target={}))
     return replace(outcome, solution=None, start=numbers, result=result)
 
 
 def _judged(
-    search: SearchProblem, outcome: StartOutcome, accept: Accept | None, name: str
+    search: SearchProblem, outcome: StartOutcome, name: str
 ) -> tuple[StartOutcome, Verdict | None]:
     """Measure the orbit of a start on a simulation, if it exists, and accept or reject it."""
     solution = outcome.solution
@@ -118,9 +114,9 @@ def _judged(
     orbit = solution.orbit
     extents = solution.extents
     judgement = Verdict(objection=objection_to(search.bounds, extents))
-    if not judgement.objection and accept is not None:
+    if not judgement.objection and search.accept is not None:
         search.tell(f"{name}: verifying")
-        judgement = _accepted(search, solution, accept)
+        judgement = _accepted(search, solution, search.accept)
     if judgement.objection:
         refused = replace(
             outcome,
@@ -169,7 +165,6 @@ _AT_LIMIT = 0.01
 def _attracting(
     search: SearchProblem,
     start: SearchStart,
-    accept: Accept | None,
     name: str,
     refused: StartOutcome,
     judgement: Verdict,
@@ -179,7 +174,6 @@ def _attracting(
     Args:
         search: The search.
         start: The start.
-        accept: The check of orbits.
         name: Name of the start for progress reports.
         refused: Outcome of the search without regard to stability.
         judgement: The rejection of its orbit.
@@ -193,9 +187,9 @@ def _attracting(
     try:
         # The best stable orbit is usually near.
         beside = from_orbit(bounded, refused.solution.values, refused.solution.found)
-        outcome, _ = _judged(bounded, beside, accept, name)
+        outcome, _ = _judged(bounded, beside, name)
         if outcome.candidate is None:
-            outcome, _ = _judged(bounded, from_start(bounded, start), accept, name)
+            outcome, _ = _judged(bounded, from_start(bounded, start), name)
     except InputError:
         # Only a few multipliers can be bounded.
         return refused
@@ -209,7 +203,7 @@ def _attracting(
         detail = f"{the_best}. This is the best orbit with a spectral radius up to {_ATTRACTS:g}."
         return replace(outcome, detail=detail)
     if isinstance(search.objective, NearestGains):
-        outcome = _on_the_way(search, start, accept, name, refused.solution.values)
+        outcome = _on_the_way(search, start, name, refused.solution.values)
     if outcome.candidate is None:
         return refused
     return replace(outcome, detail=f"{the_best}. This orbit, on the way to it, is stable.")
@@ -225,7 +219,6 @@ _LAST = 1e-5
 def _before(
     search: SearchProblem,
     start: SearchStart,
-    accept: Accept | None,
     name: str,
     refused: StartOutcome,
     reached: StartOutcome,
@@ -235,7 +228,6 @@ def _before(
     Args:
         search: The search.
         start: The start.
-        accept: The check of orbits.
         name: Name of the start for progress reports.
         refused: The rejected outcome at the end.
         reached: The same outcome before the check, with a description of the end.
@@ -245,13 +237,13 @@ def _before(
     place, refused_at, part = reached.solution.values, 1.0, 0.0
     outcome = refused
     for part in _BEFORE:
-        outcome = _at_part(search, start, accept, name, place, part)
+        outcome = _at_part(search, start, name, place, part)
         if outcome.candidate is not None:
             break
         refused_at = part
     while outcome.candidate is not None and refused_at - part > _LAST:
         middle, near = (part + refused_at) / 2, outcome.candidate.orbit
-        closer = _at_part(search, start, accept, name, place, middle, near)
+        closer = _at_part(search, start, name, place, middle, near)
         if closer.candidate is None:
             refused, refused_at = closer, middle
         else:
@@ -268,7 +260,6 @@ _PARTS = (0.95, 0.8, 0.5, 0.2, 0.0)
 def _on_the_way(
     search: SearchProblem,
     start: SearchStart,
-    accept: Accept | None,
     name: str,
     place: ParameterValues,
 ) -> StartOutcome:
@@ -279,13 +270,12 @@ def _on_the_way(
     Args:
         search: The search.
         start: The start.
-        accept: The check of orbits.
         name: Name of the start for progress reports.
         place: Values of the nearest orbit.
     """
     outcome = StartOutcome(status=SearchStatus.NO_GUESS)
     for part in _PARTS:
-        outcome = _at_part(search, start, accept, name, place, part)
+        outcome = _at_part(search, start, name, place, part)
         if outcome.candidate is not None:
             break
     return outcome
@@ -294,7 +284,6 @@ def _on_the_way(
 def _at_part(
     search: SearchProblem,
     start: SearchStart,
-    accept: Accept | None,
     name: str,
     place: ParameterValues,
     part: float,
@@ -305,7 +294,6 @@ def _at_part(
     Args:
         search: The search.
         start: The start.
-        accept: The check of orbits.
         name: Name of the start for progress reports.
         place: Values at the end of the line.
         part: The point of the line, as a part of its length from the start.
@@ -316,7 +304,7 @@ def _at_part(
         for free in search.free
     }
     there = SearchStart(values=start.values.replaced(numbers), near=near)
-    return _judged(search, from_start(replace(search, free={}), there), accept, name)[0]
+    return _judged(search, from_start(replace(search, free={}), there), name)[0]
 
 
 def _easy_values(problem: Problem, values: ParameterValues) -> tuple[ParameterValues, ...]:

@@ -25,8 +25,7 @@ from zeno_orbits.search.optimum.points import OrbitsOverValues
 from zeno_orbits.search.outcome import SimulatedOrbit, StartOutcome
 from zeno_orbits.search.program.agreement import Agreement, agreement_of
 from zeno_orbits.search.search_problem import SearchProblem, listed
-from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.search.settings import SearchMethod, SearchStatus
 
 _BY_ITSELF = "Errors grow too much on it for the program: simulation alone closes the orbit."
 
@@ -103,9 +102,11 @@ def simulated(search: SearchProblem, values: ParameterValues) -> FollowedMotion:
             search.problem,
             values,
             starts=search.initial_states,
+            section=search.section,
             shape=search.shape,
             until=search.settings.settling.horizon,
-            changing=tuple(search.free),
+            simulation=search.settings.simulation,
+            changing=(*search.free, *search.objective.parameter_ranges),
         )
     except SimulationError as error:
         # What to do about it depends on the search.
@@ -132,9 +133,11 @@ def from_orbit(search: SearchProblem, values: ParameterValues, found: EventRetur
         free=search.free,
         objective=NearestGains(target={}) if is_held else search.objective,
         bounds=search.bounds,
+        method=search.method,
+        accept=search.accept,
         shape=search.shape,
         starts=search.initial_states,
-        until=search.settings.settling.horizon,
+        simulation=search.settings.simulation,
         on_progress=search.on_progress,
     )
     try:
@@ -150,6 +153,7 @@ def from_orbit(search: SearchProblem, values: ParameterValues, found: EventRetur
             detail=result.detail,
             iterations=result.iterations,
             shortfall=best.violation,
+            result=result,
         )
     outcome = _compared(search, best)
     said = (result.detail or result.told_push, *result.remarks, outcome.detail)
@@ -172,7 +176,7 @@ def paths_of(search: SearchProblem, values: ParameterValues) -> OrbitPaths:
         problem=search.problem,
         values=values,
         names=tuple(search.free),
-        simulation=SimulationSettings(),
+        simulation=search.settings.simulation,
     )
     return OrbitPaths(
         orbits=orbits, free=search.free, bounds=search.bounds, on_progress=search.on_progress
@@ -180,12 +184,15 @@ def paths_of(search: SearchProblem, values: ParameterValues) -> OrbitPaths:
 
 
 def _compared(search: SearchProblem, best: BestOrbit) -> StartOutcome:
-    """Return an orbit with its agreement with a program, whose mesh is refined until they agree."""
+    """Return an orbit with its agreement with a program, whose mesh is refined until they agree.
+
+    Shooting compares no program.
+    """
     values, found = best.values, best.found
     problem, settings = search.problem, search.settings
     graph = problem.graph_dynamics(values)
     try:
-        found = shortest_return(graph, found, SimulationSettings())
+        found = shortest_return(graph, found, settings.simulation)
     except SimulationError as error:
         return StartOutcome(status=SearchStatus.NOT_FOLLOWED, detail=f"{error.reason}.")
     orbit = event_orbit_of(problem, values, found)
@@ -196,6 +203,15 @@ def _compared(search: SearchProblem, best: BestOrbit) -> StartOutcome:
     beyond = beyond_limits(problem, found.arcs)
     if beyond:
         return StartOutcome(status=SearchStatus.NOT_FOLLOWED, detail=f"{beyond}.")
+    solution = SimulatedOrbit(
+        values=values,
+        found=found,
+        orbit=orbit,
+        extents=best.extents,
+        result=best.result,
+    )
+    if search.method is SearchMethod.SHOOTING:
+        return StartOutcome(status=SearchStatus.FOUND, solution=solution)
     seen = agreement_of(graph, found, settings.transcription)
     for _ in range(settings.rounds - 1):
         if seen.difference <= settings.agreement:
@@ -205,13 +221,6 @@ def _compared(search: SearchProblem, best: BestOrbit) -> StartOutcome:
             settings, transcription=replace(settings.transcription, mesh_tolerance=mesh)
         )
         seen = agreement_of(graph, found, settings.transcription)
-    solution = SimulatedOrbit(
-        values=values,
-        found=found,
-        orbit=orbit,
-        extents=best.extents,
-        result=best.result,
-    )
     return _found(seen, solution, settings.agreement)
 
 
@@ -238,7 +247,13 @@ def _from_known(search: SearchProblem, start: SearchStart, near: Orbit) -> Start
     """Search from a known orbit, which is followed to the values of the start."""
     own = near.values(search.problem)
     try:
-        found = return_near(search.problem, own, near, on_progress=search.on_progress)
+        found = return_near(
+            search.problem,
+            own,
+            near,
+            simulation=search.settings.simulation,
+            on_progress=search.on_progress,
+        )
     except SimulationError:
         detail = "From the known orbit no orbit could be followed."
         return StartOutcome(status=SearchStatus.NO_GUESS, detail=detail)
