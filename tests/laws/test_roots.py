@@ -246,7 +246,7 @@ def test_every_way_to_a_motion_names_the_formula_that_it_leaves(
     assert found.fate is AttractorClass.FAILED
     assert re.search(told, found.detail)
     if is_named:
-        with pytest.raises(zo.SimulationError, match=told):
+        with pytest.raises(zo.OrbitNotFoundError, match=told):
             zo.find_event_orbit(problem)
     else:
         assert re.search(told, zo.find_orbit(problem).detail)
