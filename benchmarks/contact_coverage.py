@@ -51,7 +51,7 @@ def settled(periods: int = PERIODS, stiffness: float = STIFFNESS) -> Settled:
         periods: Number of periods.
         stiffness: Stiffness of its stops.
     """
-    orbit = zo.find_event_orbit(PROBLEM, section=SECTION)
+    orbit = zo.find_orbit(PROBLEM, section=SECTION).unwrap()
     run = rig_run(orbit, periods, stiffness)
     truth: dict[str, float] = {"period": orbit.period}
     for stop in run.stop_names:

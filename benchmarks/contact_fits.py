@@ -183,7 +183,7 @@ def recorded_rig(
         noise: Noise on the current, relative to its range.
         periods: Number of periods.
     """
-    orbit = zo.find_event_orbit(PROBLEM, parameters=parameters, section=SECTION)
+    orbit = zo.find_orbit(PROBLEM, parameters=parameters, section=SECTION).unwrap()
     run = rig_run(orbit, periods, stiffness)
     random = np.random.default_rng([seed, 2])
     return recorded_run(run, orbit.period, rate, noise, random)

@@ -95,11 +95,11 @@ def measured(kind: str, n: int, most: int) -> tuple[float, str]:
     watch, begun = Stopwatch(most=most), time.process_time()
     worst = "-"
     try:
-        found = zo.search_event_gains(
+        found = zo.search_gains(
             KINDS[kind]([f"u{k}" for k in range(1, n + 1)]),
             objective=zo.MinImpactLoss(stop="closed", uncertain=UNCERTAIN),
-            n_starts=0,
             on_progress=watch,
+            settings=zo.SearchSettings(n_starts=0),
         )
         worst = f"{found.worst:.4g}"
     except Enough:

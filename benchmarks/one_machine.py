@@ -55,10 +55,10 @@ def times_of(problem: Problem) -> dict[str, tuple[float, float]]:
     orbit = zo.find_orbit(problem).orbit
     if orbit is None:
         return found
-    events = zo.find_event_orbit(problem)
+    events = zo.find_orbit(problem).unwrap()
     found["close"] = in_turns(
         lambda: zo.find_orbit_by_shooting(problem, near=orbit),
-        lambda: zo.find_event_orbit(problem, near=events),
+        lambda: zo.find_orbit(problem, near=events).unwrap(),
         3,
     )
     found["verify"] = in_turns(
@@ -122,11 +122,7 @@ TASKS: dict[str, Callable[[Any, Path], Any]] = {
     "simulate_with_error": lambda orbit, _: zo.simulate_with_error(orbit.problem, until=1.0),
     "write_orbit": _written,
     "search_gains": lambda orbit, _: zo.search_gains(orbit.problem, near=orbit, vary={}).unwrap(),
-    "search_event_gains": lambda orbit, _: zo.search_event_gains(
-        orbit.problem, near=orbit, free={}
-    ),
     "find_orbit": lambda orbit, _: zo.find_orbit(orbit.problem).unwrap(),
-    "find_event_orbit": lambda orbit, _: zo.find_event_orbit(orbit.problem),
     "find_orbit_by_shooting": lambda orbit, _: zo.find_orbit_by_shooting(orbit.problem).unwrap(),
 }
 """Name of a public function to a call of it with an orbit and a file."""
@@ -136,8 +132,8 @@ def print_abilities(names: Sequence[str]) -> bool:
     """Print which functions serve which orbits; return True if as many as before do."""
     orbits = {
         "one stop": zo.find_orbit(ONE_STOP).unwrap(),
-        "as a graph": zo.find_event_orbit(ONE_STOP),
-        "two stops": zo.find_event_orbit(TWO_STOPS),
+        "as a graph": zo.find_orbit(ONE_STOP).unwrap(),
+        "two stops": zo.find_orbit(TWO_STOPS).unwrap(),
     }
     able = total = 0
     with tempfile.TemporaryDirectory() as folder:

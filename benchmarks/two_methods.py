@@ -44,14 +44,14 @@ def searched(name: str, wrong: dict[str, float], target: float, method: zo.Searc
     }
     began = time.perf_counter()
     try:
-        found = zo.search_event_gains(
+        found = zo.search_gains(
             name,
             vary=vary,
             gains=wrong,
             objective=zo.TargetPeriod(target=target),
-            n_starts=0,
             allow_unstable=True,
             method=method,
+            settings=zo.SearchSettings(n_starts=0),
         )
     except zo.SimulationError as error:
         return Trial(score=None, seconds=time.perf_counter() - began, reason=error.reason)
@@ -89,7 +89,7 @@ def main() -> int:
     options = parser.parse_args()
     is_good = True
     for name in options.machines:
-        orbit = zo.find_event_orbit(name)
+        orbit = zo.find_orbit(name).unwrap()
         random = np.random.default_rng([options.seed, len(orbit.gains)])
         trials: dict[zo.SearchMethod, list[Trial]] = {method: [] for method in zo.SearchMethod}
         for k in range(options.trials):

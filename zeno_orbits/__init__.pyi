@@ -1,8 +1,6 @@
 __version__: str
 
 from .api import ZenoCondition as ZenoCondition
-from .api import find_event_orbit as find_event_orbit
-from .api import search_event_gains as search_event_gains
 from .api import find_orbit_by_shooting as find_orbit_by_shooting
 from .api import compare as compare
 from .api import compare_laws as compare_laws
@@ -286,7 +284,6 @@ __all__ = [
     "equilibrium_acceleration",
     "execution_distance",
     "explore",
-    "find_event_orbit",
     "find_orbit",
     "find_orbit_by_shooting",
     "floquet_multipliers",
@@ -322,7 +319,6 @@ __all__ = [
     "sample_execution",
     "save_figure",
     "scatter",
-    "search_event_gains",
     "search_gains",
     "simulate",
     "simulate_experiment",

@@ -8,7 +8,9 @@ ALIASES: Mapping[str, tuple[str, str]] = {
     "EventOrbit": ("Orbit", "orbits.orbit:Orbit"),
     "EventSearchResult": ("SearchResult", "search.outcome:SearchResult"),
     "ZenoOrbit": ("Orbit", "orbits.orbit:Orbit"),
+    "find_event_orbit": ("find_orbit", "api.former:find_event_orbit"),
     "read_event_orbit": ("read_orbit", "orbits.orbit_file:read_orbit"),
+    "search_event_gains": ("search_gains", "api.former:search_event_gains"),
     "write_event_orbit": ("write_orbit", "orbits.orbit_file:write_orbit"),
 }
 """Former public name to the new name, and to the module and name of the object in the package."""

@@ -193,7 +193,7 @@ def test_a_long_example_of_the_help_is_understood(
 ) -> None:
     assert orbit_file.exists()
     reached = raising(ZenoOrbitsError("The work would begin here."))
-    names = "search_gains search_event_gains verify work_precision reduced_model_errors"
+    names = "search_gains verify work_precision reduced_model_errors"
     for name in names.split():
         monkeypatch.setattr(f"zeno_orbits.api.{name}", reached)
     answer = ask(*example)

@@ -21,7 +21,7 @@ def _file(problem: str, **how: Any) -> str:
     """Write the orbit of a problem and return the name of its file."""
     known = zo.load_problem(problem)
     if known.has_graph:
-        zo.write_orbit(zo.find_event_orbit(known, **how), "orbit.json")
+        zo.write_orbit(zo.find_orbit(known, **how).unwrap(), "orbit.json")
     else:
         zo.write_orbit(zo.find_orbit_by_shooting(known, **how).unwrap(), "orbit.json")
     return "orbit.json"

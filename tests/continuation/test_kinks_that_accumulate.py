@@ -131,7 +131,7 @@ MACHINES = {
 
 @cache
 def _orbit(name: str) -> zo.Orbit:
-    return zo.find_event_orbit(MACHINES[name].problem())
+    return zo.find_orbit(MACHINES[name].problem()).unwrap()
 
 
 def _family(name: str) -> Family:
@@ -198,7 +198,7 @@ _ZENO = "zeno wall"
 def test_a_kink_of_accumulating_flights_is_no_section() -> None:
     problem = MACHINES["quadratic drag"].problem()
     with pytest.raises(zo.InputError, match="`switch kink 1`, whose events accumulate: take `zeno"):
-        zo.find_event_orbit(problem, section="switch kink 1")
+        zo.find_orbit(problem, section="switch kink 1").unwrap()
 
 
 def test_neighbours_on_a_map_are_of_one_kind() -> None:

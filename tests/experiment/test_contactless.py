@@ -42,7 +42,7 @@ THIS, NONE = ComparisonVerdict.THIS_ORBIT, ComparisonVerdict.NO_ORBIT
 @cache
 def _orbit(name: str) -> tuple[zo.Problem, zo.Orbit]:
     problem = MACHINES[name][0]()
-    return problem, zo.find_event_orbit(problem)
+    return problem, zo.find_orbit(problem).unwrap()
 
 
 def _recording(

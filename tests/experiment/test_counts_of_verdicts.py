@@ -102,7 +102,7 @@ def _oscillator(k: int) -> tuple[zo.Problem, zo.Orbit]:
     x, v = o.state(0.4 * o.half)
     angle = o.omega * 0.4 * o.half + o.phase
     start = {"x": x, "dx": v, "cosine": math.cos(angle), "sine": math.sin(angle)}
-    return problem, zo.find_event_orbit(problem, start=start)
+    return problem, zo.find_orbit(problem, start=start).unwrap()
 
 
 def _oscillator_case(k: int, seed: int, **changed: float) -> Case:
@@ -147,7 +147,7 @@ FREE: Mapping[
 def _free(name: str, numbers: tuple[tuple[str, float], ...]) -> tuple[zo.Problem, zo.Orbit]:
     problem, _, names = FREE[name]
     parameters = {names[word]: value for word, value in numbers}
-    return problem(), zo.find_event_orbit(problem(), parameters=parameters)
+    return problem(), zo.find_orbit(problem(), parameters=parameters).unwrap()
 
 
 USUAL = {
@@ -173,7 +173,7 @@ def _free_case(name: str, seed: int, factor: float = 1.0) -> Case:
 
 @cache
 def _relay(numbers: tuple[tuple[str, float], ...] = ()) -> zo.Orbit:
-    return zo.find_event_orbit("relay", parameters=dict(numbers), section="zeno open")
+    return zo.find_orbit("relay", parameters=dict(numbers), section="zeno open").unwrap()
 
 
 def _relay_case(seed: int, **changed: float) -> Case:

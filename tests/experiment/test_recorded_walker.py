@@ -28,7 +28,7 @@ UNLIKE = (Leg(centre=0.0460, inertia=0.00425), Leg(centre=0.0490, inertia=0.0044
 
 @cache
 def _orbit() -> zo.Orbit:
-    return zo.find_event_orbit("compass_walker", gains=GAINS)
+    return zo.find_orbit("compass_walker", gains=GAINS).unwrap()
 
 
 def _recording(parts: Sequence[tuple[np.ndarray, np.ndarray]], seed: int = 1) -> zo.Recording:

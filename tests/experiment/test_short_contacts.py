@@ -53,7 +53,7 @@ PROBLEM = one_mass(
 
 @cache
 def _orbit(one: bool) -> zo.Orbit:
-    return zo.find_event_orbit(PROBLEM, parameters=ONE if one else THREE)
+    return zo.find_orbit(PROBLEM, parameters=ONE if one else THREE).unwrap()
 
 
 def _recording(step: float, duration: float, *, one: bool = False) -> Recording:
@@ -121,7 +121,7 @@ def test_sequences_whose_flights_are_longer_than_those_between_them_decide_nothi
         A=parameters["A"],
         e=parameters["e"],
     )
-    orbit = zo.find_event_orbit(table)
+    orbit = zo.find_orbit(table).unwrap()
     begins = [event.time for event in orbit.events if event.name == "impact floor"]
     assert np.max(np.diff(np.diff(begins))) > 1.0
     motion = zo.simulate(table, start=orbit.start_state, until=9.0 * orbit.period)
@@ -153,7 +153,7 @@ TABLE = one_mass(
 @cache
 def _resting(samples: float, part: float) -> Comparison:
     """Return the comparison of a channel whose bounces are contacts of `part` sampling times."""
-    orbit = zo.find_event_orbit(TABLE)
+    orbit = zo.find_orbit(TABLE).unwrap()
     step = orbit.period / samples
     motion = zo.simulate(TABLE, start=orbit.start_state, until=13.0 * orbit.period)
     time = np.arange(0.3 * orbit.period, 12.3 * orbit.period, step)

@@ -277,11 +277,11 @@ def test_orbits_with_elastic_impacts_have_the_multipliers_of_the_saltation_matri
     machine = ImpactOscillator(amplitude=1.0, omega=omega, damping=c, stop=d, restitution=1.0)
     time, velocity = fsolve(lambda u: machine.miss(*u), near, xtol=1e-14, full_output=True)[0]
     angle = omega * time
-    orbit = zo.find_event_orbit(
+    orbit = zo.find_orbit(
         OSCILLATOR,
         parameters={"omega": omega, "c": c, "d": d},
         start={"x": d, "v": velocity, "cosine": math.cos(angle), "sine": math.sin(angle)},
-    )
+    ).unwrap()
     assert orbit.sequence == ("impact wall",)
     assert orbit.period == pytest.approx(machine.period, rel=1e-12)
     matrix: Vector = machine.monodromy(time, velocity)
@@ -299,11 +299,11 @@ def test_a_family_ends_at_elastic_impacts_with_its_closed_form() -> None:
     machine = ImpactOscillator(amplitude=1.0, omega=omega, damping=c, stop=d, restitution=0.9)
     time, velocity = fsolve(lambda u: machine.miss(*u), (0.8, -1.8), xtol=1e-14)
     angle = omega * time
-    orbit = zo.find_event_orbit(
+    orbit = zo.find_orbit(
         OSCILLATOR,
         parameters={"omega": omega, "c": c, "d": d, "restitution": 0.9},
         start={"x": d, "v": velocity, "cosine": math.cos(angle), "sine": math.sin(angle)},
-    )
+    ).unwrap()
     (family,) = zo.continue_orbit(orbit, ("restitution", 0.8, 1.0), problem=OSCILLATOR).families
     assert max(point.value for point in family.points) == 1.0
     for point in family.points:

@@ -69,7 +69,7 @@ def _case(case: tuple[float, ...]) -> tuple[ImpactOscillator, dict[str, float], 
 @pytest.mark.parametrize("case", CASES)
 def test_the_multipliers_are_those_of_the_saltation_matrix(case: tuple[float, ...]) -> None:
     machine, parameters, state = _case(case)
-    orbit = zo.find_event_orbit(OSCILLATOR, parameters=parameters, start=state)
+    orbit = zo.find_orbit(OSCILLATOR, parameters=parameters, start=state).unwrap()
     assert orbit.sequence == ("impact wall",)
     assert dict(orbit.start_state) == pytest.approx(state, abs=1e-10)
     # The start is a state just after an impact, up to rounding.
@@ -107,7 +107,7 @@ def test_maps_have_the_multipliers_of_the_saltation_matrix() -> None:
 )
 def test_families_have_their_closed_form(parameter: str, box: tuple[float, float]) -> None:
     machine, parameters, state = _case(CASES[0])
-    orbit = zo.find_event_orbit(OSCILLATOR, parameters=parameters, start=state)
+    orbit = zo.find_orbit(OSCILLATOR, parameters=parameters, start=state).unwrap()
     (family,) = zo.continue_orbit(orbit, (parameter, *box), problem=OSCILLATOR).families
     ends = {special.kind for special in (family.first, family.last)}
     assert ends == {SpecialPointKind.BOUND}
@@ -158,7 +158,7 @@ def test_a_search_moves_the_stop_past_the_last_start() -> None:
         there = replace(machine, stop=stop)
         return -_orbit_of(there, (0.8, -0.4))[1] / machine.restitution
 
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         OSCILLATOR,
         vary={"d": (0.28, 0.45)},
         parameters=parameters,
@@ -199,7 +199,7 @@ def _duffing(p: Mapping[str, ca.SX], *, by_stops: bool) -> zo.CompletedSystem:
 def test_a_stop_and_a_gap_are_one_machine(force: float) -> None:
     by_stops = machine_of(partial(_duffing, by_stops=True), STATED, {"restitution": 0.6, **DUFFING})
     by_gap = machine_of(partial(_duffing, by_stops=False), STATED, {"restitution": 0.6, **DUFFING})
-    one = zo.find_event_orbit(by_stops, parameters={"F": force})
+    one = zo.find_orbit(by_stops, parameters={"F": force}).unwrap()
     other = zo.find_orbit(by_gap, parameters={"F": force}).orbit
     assert other is not None
     assert one.period == pytest.approx(other.period, rel=1e-10)
@@ -238,8 +238,8 @@ def test_multipliers_do_not_depend_on_coordinates_with_a_constraint() -> None:
     angle = machine_of(partial(_bead, on_circle=False), STATED, {"restitution": 0.6, **own})
     places = {"x": "m", "y": "m", "vx": "m/s", "vy": "m/s", "cosine": "1", "sine": "1"}
     circle = machine_of(partial(_bead, on_circle=True), places, {"restitution": 0.6, **own})
-    one = zo.find_event_orbit(angle)
-    other = zo.find_event_orbit(circle, start={"y": -1.0, "cosine": 1.0})
+    one = zo.find_orbit(angle).unwrap()
+    other = zo.find_orbit(circle, start={"y": -1.0, "cosine": 1.0}).unwrap()
     assert one.sequence == other.sequence == ("impact wall",)
     assert one.period == pytest.approx(other.period, rel=1e-10)
     assert one.floquet_multipliers == pytest.approx(other.floquet_multipliers, abs=1e-8)
@@ -266,7 +266,7 @@ def test_a_constraint_leaves_the_own_time_of_an_oscillation_under_a_slow_clock(
 def test_zeno_points_of_the_transient_do_not_hide_an_orbit_of_impacts() -> None:
     numbers = {"restitution": 0.45}
     # The voltage never reaches this limit.
-    limited = zo.find_event_orbit("limited_pendulum", parameters={**numbers, "U": 100.0})
+    limited = zo.find_orbit("limited_pendulum", parameters={**numbers, "U": 100.0}).unwrap()
     free = zo.find_orbit("motor_pendulum", parameters=numbers).orbit
     assert free is not None
     assert limited.sequence == ("impact stop",) * 4

@@ -127,7 +127,7 @@ def test_an_orbit_with_waveforms_that_meet_has_the_multipliers_of_its_flow() -> 
         both = wave(clock, 2.0, 1.0) * (1 + 0.2 * q) + wave(clock, 2.0, 3.0)
         return both - q - 0.3 * v - 5
 
-    orbit = zo.find_event_orbit(driven(lambda q, v, c: force(q - 9, v, c), 9.0))
+    orbit = zo.find_orbit(driven(lambda q, v, c: force(q - 9, v, c), 9.0)).unwrap()
     turn = 2 * math.pi
     flows = [np.array([[0, 1], [-1 + 0.2 * up, -0.3]]) for up in (0, 1)]
     period: Any = expm(flows[1] * (turn - 2.0)) @ expm(flows[0] * 2.0)
@@ -409,7 +409,7 @@ def test_a_jump_at_the_time_of_an_impact_leaves_the_multipliers_unknown(
 ) -> None:
     def orbit_at(t0: float) -> tuple[zo.Stability, float]:
         problem = bouncing(step, t0)
-        orbit = zo.find_event_orbit(problem)
+        orbit = zo.find_orbit(problem).unwrap()
         phase = math.atan2(orbit.start_state["sine"], orbit.start_state["cosine"])
         return zo.floquet_multipliers(orbit, problem=problem), phase % (2 * math.pi)
 
@@ -445,6 +445,6 @@ def test_a_release_that_a_jump_causes_keeps_the_stability() -> None:
         return zo.hybrid_system(mass, zo.no_drive(mass))
 
     problem = machine_of(model, {"q": "m", "v": "m/s", "cosine": "1", "sine": "1"})
-    orbit = zo.find_event_orbit(replace(problem, starts=({"cosine": 1.0, "q": 0.5},)))
+    orbit = zo.find_orbit(replace(problem, starts=({"cosine": 1.0, "q": 0.5},))).unwrap()
     assert "release wall" in [event.name for event in orbit.events]
     assert zo.floquet_multipliers(orbit, problem=problem).stable

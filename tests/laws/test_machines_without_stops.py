@@ -116,7 +116,7 @@ def test_a_smooth_motion_has_no_event() -> None:
 def test_the_relay_loop_has_the_period_and_multiplier_of_its_half_period_map(model: Any) -> None:
     period, speed, multiplier = loop_orbit()
     problem = relay_loop(model)
-    orbit = zo.find_event_orbit(problem, start={"x": 0.0, "v": 0.5, "side": 1.0})
+    orbit = zo.find_orbit(problem, start={"x": 0.0, "v": 0.5, "side": 1.0}).unwrap()
     assert orbit.period == pytest.approx(period, rel=1e-11)
     assert abs(orbit.start_state["v"]) == pytest.approx(speed, rel=1e-11)
     found = np.abs(orbit.floquet_multipliers)
@@ -143,7 +143,7 @@ def test_a_start_at_a_switch_that_may_be_due_or_past_is_refused() -> None:
 @pytest.mark.parametrize("slope", [0.07, 0.08, 0.2])
 def test_the_rimless_wheel_has_the_period_of_its_energy_balance(slope: float) -> None:
     period, _ = wheel_motion(slope)
-    orbit = zo.find_event_orbit(wheel(), parameters={"slope": slope})
+    orbit = zo.find_orbit(wheel(), parameters={"slope": slope}).unwrap()
     assert orbit.period == pytest.approx(period, rel=1e-9)
     found = np.abs(orbit.floquet_multipliers)
     assert np.max(found) == pytest.approx(math.cos(math.pi / 4) ** 2, rel=1e-8)
@@ -158,7 +158,7 @@ def test_walking_ends_where_the_wheel_stands_on_one_spoke() -> None:
         return math.cos(slope - half) - math.cos(slope + half) - (1 - math.cos(slope - half))
 
     slope = brentq(surplus, 0.01, 0.2, xtol=1e-15)
-    orbit = zo.find_event_orbit(wheel())
+    orbit = zo.find_orbit(wheel()).unwrap()
     found = zo.continue_orbit(orbit, ("slope", 0.03, 0.1), problem=wheel())
     first = found.families[0].first
     assert first.kind is SpecialPointKind.PERIOD_INFINITE
@@ -199,7 +199,7 @@ def test_the_zeno_condition_reads_the_restitution_of_a_stop_with_a_name() -> Non
 def test_a_recording_of_a_relay_loop_shows_its_orbit() -> None:
     problem = relay_loop()
     start = {"v": 0.5, "side": 1.0}
-    orbit = zo.find_event_orbit(problem, start=start)
+    orbit = zo.find_orbit(problem, start=start).unwrap()
     run = zo.simulate_rig(problem, until=40.0, start=orbit.start_state)
     assert run.stop_names == ()
     assert run.gap.shape == (len(run.times), 0)

@@ -210,7 +210,7 @@ def test_a_rig_takes_all_sides_anew(name: str) -> None:
 @pytest.mark.parametrize("name", ["limit of a wave", "size of a wave", "table of a wave"])
 def test_multipliers_are_those_of_the_product_of_the_pieces(name: str) -> None:
     case = CASES[name]
-    orbit = zo.find_event_orbit(_problem(case.law))
+    orbit = zo.find_orbit(_problem(case.law)).unwrap()
     period = np.linalg.multi_dot(_pieces(case, 4.0, in_contact=False)[::-1])
     want = np.linalg.eigvals(period[:3, :3])
     got = np.array(orbit.floquet_multipliers)
@@ -227,7 +227,7 @@ def test_maps_and_orbits_have_the_multipliers_of_nested_kinks(name: str, tmp_pat
     eigenvalues: Any = np.linalg.eigvals
     want: Any = np.sort(np.abs(eigenvalues(down[:2, :2] @ up[:2, :2])))
     fixed: Any = np.linalg.solve(np.eye(2) - (down @ up)[:2, :2], (down @ up)[:2, 2])
-    orbit = zo.find_event_orbit(str(file))
+    orbit = zo.find_orbit(str(file)).unwrap()
     begin = math.atan2(orbit.start_state["sine"], orbit.start_state["cosine"])
     assert orbit.period == pytest.approx(2 * math.pi, rel=1e-10)
     assert np.sort(np.abs(orbit.floquet_multipliers)) == pytest.approx(want, abs=1e-9)
@@ -446,7 +446,7 @@ def _period_map(kw: float, y: Vector, shift: float) -> Vector:
 def test_multipliers_contain_the_jump_at_the_branch_cut_of_an_angle(
     kw: float, shift: float
 ) -> None:
-    orbit = zo.find_event_orbit(_wrapped(kw, shift=shift))
+    orbit = zo.find_orbit(_wrapped(kw, shift=shift)).unwrap()
     y = np.array([0.3, 0.2])
     for _ in range(14):
         y = _period_map(kw, y, shift)

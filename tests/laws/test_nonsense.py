@@ -233,8 +233,6 @@ OWN: dict[str, dict[str, Callable[[], Any]]] = {
     "find_orbit": {"problem": lambda: "motor_pendulum"},
     "find_orbit_by_shooting": {"problem": lambda: "motor_pendulum"},
     "search_gains": {"problem": lambda: "motor_pendulum"},
-    "find_event_orbit": {"problem": lambda: "sampled_pendulum"},
-    "search_event_gains": {"problem": lambda: "sampled_pendulum"},
     "explore": {"problem": lambda: "motor_pendulum"},
     "HybridLagrangian": {
         **{name: (lambda: ca.SX(0)) for name in ("bias", "passive_force", "applied_force")},

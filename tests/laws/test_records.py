@@ -122,7 +122,7 @@ def test_a_repeated_cubic_record_is_a_periodic_spline_without_events() -> None:
 
 def test_the_orbit_under_a_repeated_record_has_its_multipliers() -> None:
     times, inputs = np.arange(9) * 0.4, np.random.default_rng(7).normal(size=9)
-    orbit = zo.find_event_orbit(oscillator(zo.record(times, inputs, period=4.0)))
+    orbit = zo.find_orbit(oscillator(zo.record(times, inputs, period=4.0))).unwrap()
     wanted = np.linalg.eigvals(expm(FLOW[:2, :2] * 4.0)).tolist()
     assert sorted(orbit.floquet_multipliers, key=lambda mu: mu.imag) == pytest.approx(
         sorted(wanted, key=lambda mu: mu.imag), abs=1e-10
@@ -213,7 +213,7 @@ def test_a_step_a_pulse_and_a_ramp_happen_once() -> None:
     assert run.end_state[:2] == pytest.approx(wanted, abs=EXACT)
     times = [one.time for one in run.switches]
     assert times == pytest.approx([0.5, 0.9, 2.0, 2.7], abs=EXACT)
-    for ask in (zo.find_orbit, zo.find_event_orbit, zo.find_orbit_by_shooting):
+    for ask in (zo.find_orbit, zo.search_gains, zo.find_orbit_by_shooting):
         with pytest.raises(InputError, match=r"no motion of `once` repeats, .* `zo.Time`"):
             ask(problem)
     with pytest.raises(InputError, match="no motion of `once` repeats"):

@@ -140,7 +140,7 @@ def _turned(force: Callable[[float, float], float], y: Vector) -> Vector:
 @pytest.mark.parametrize("name", FORCES)
 def test_multipliers_of_orbits_over_powers_are_those_of_differences(name: str) -> None:
     force, number = FORCES[name]
-    orbit = zo.find_event_orbit(_forced(force))
+    orbit = zo.find_orbit(_forced(force)).unwrap()
     certificate = zo.verify(orbit, problem=_forced(force))
     assert certificate.passed
     assert orbit.period == pytest.approx(2.0 * math.pi / OMEGA, abs=1e-10)
@@ -247,6 +247,6 @@ def test_every_way_to_a_motion_names_the_formula_that_it_leaves(
     assert re.search(told, found.detail)
     if is_named:
         with pytest.raises(zo.OrbitNotFoundError, match=told):
-            zo.find_event_orbit(problem)
+            zo.find_orbit(problem).unwrap()
     else:
         assert re.search(told, zo.find_orbit(problem).detail)

@@ -182,7 +182,7 @@ def test_folds_of_impact_pairs_lie_on_their_curve_in_two_parameters() -> None:
 
     phase, ratio = 0.43, 3.0
     length = math.pi * ratio * math.cos(phase) + 2 * math.sin(phase)
-    orbit = zo.find_event_orbit(
+    orbit = zo.find_orbit(
         BOX,
         parameters={"restitution": 0.5, "d": length},
         start={
@@ -192,7 +192,7 @@ def test_folds_of_impact_pairs_lie_on_their_curve_in_two_parameters() -> None:
             "sine": math.sin(phase),
         },
         until=200.0,
-    )
+    ).unwrap()
     box = (length - 0.05, fold(0.5) + 0.05)
     second = SecondParameter(name="restitution", box=(0.48, 0.51), kinds=tuple(SpecialPointKind))
     found = zo.continue_orbit(orbit, ("d", *box), problem=BOX, parameter2=second)

@@ -67,7 +67,7 @@ def _impacts(width: float, count: int) -> list[float]:
 @pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-6, 1e-7])
 def test_the_orbit_of_a_short_pulse_is_found_and_is_the_closed_form(width: float) -> None:
     problem = _problem(width)
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     assert orbit.period == pytest.approx(2 * math.pi, rel=1e-9)
     assert zo.verify(orbit, problem=problem).passed
     pulse = next(one.time for one in orbit.events if one.name == "switch kink 1")
@@ -79,7 +79,7 @@ def test_the_orbit_of_a_short_pulse_is_found_and_is_the_closed_form(width: float
 
 def test_an_event_of_a_short_pulse_that_is_off_by_more_than_rounding_is_refused() -> None:
     problem = _problem(1e-7)
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     last = orbit.events[-1]
     moved = replace(last, state={**last.state, "sine": last.state["sine"] + 1e-6})
     certificate = zo.verify(replace(orbit, events=(*orbit.events[:-1], moved)), problem=problem)

@@ -271,7 +271,7 @@ def test_orbits_and_maps_of_short_pulses_have_their_closed_form(part: float) -> 
         lambda clock, p: zo.piecewise(clock, levels, (p["t"], p["t"] + part * PERIOD)),
         {"t": times[0]},
     )
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     wanted = sorted(map(complex, np.linalg.eigvals(expm(FLOW * PERIOD))), key=lambda mu: mu.imag)
     found = sorted(orbit.floquet_multipliers, key=lambda mu: mu.imag)
     assert orbit.period == pytest.approx(PERIOD, abs=LOCATED)
@@ -431,7 +431,7 @@ def test_gains_that_change_the_order_of_the_times_are_refused(
     with pytest.raises(zo.SwitchingTimesError, match=words):
         zo.simulate(problem, until=1.0, gains=moved)
     with pytest.raises(zo.SwitchingTimesError, match=words):
-        zo.find_event_orbit(problem, gains=moved)
+        zo.find_orbit(problem, gains=moved).unwrap()
 
 
 def test_times_of_the_state_are_refused() -> None:

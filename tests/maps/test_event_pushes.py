@@ -27,7 +27,9 @@ TURN = 2 * math.pi / BISTABLE["omega"]
 
 @cache
 def _clapper() -> zo.Orbit:
-    return zo.find_event_orbit("clapper", parameters=BISTABLE, start={"speed": 4.0, "cosine": 1.0})
+    return zo.find_orbit(
+        "clapper", parameters=BISTABLE, start={"speed": 4.0, "cosine": 1.0}
+    ).unwrap()
 
 
 @cache
@@ -79,12 +81,12 @@ def test_impulses_below_the_largest_return_and_those_just_above_are_lost() -> No
 def test_an_orbit_that_starts_at_another_event_has_the_same_pushes() -> None:
     settings = zo.PushSettings(phases=1, steps=1, reach=1e-3)
     for section in ("impact upper", "impact lower"):
-        orbit = zo.find_event_orbit(
+        orbit = zo.find_orbit(
             "clapper",
             parameters=BISTABLE,
             start={"speed": 4.0, "cosine": 1.0},
             section=section,
-        )
+        ).unwrap()
         found = zo.largest_push(orbit, settings=settings)
         assert found.least is None
         assert found.spectral_radius == pytest.approx(0.30324777, abs=1e-7)
@@ -232,7 +234,7 @@ def test_a_stable_orbit_of_events_is_pushed_as_the_same_orbit_with_one_stop(name
     plain = zo.find_orbit(name).orbit
     assert plain is not None
     section = "release stop" if plain.shape.starts_at_release else "impact stop"
-    orbit = zo.find_event_orbit(name, section=section)
+    orbit = zo.find_orbit(name, section=section).unwrap()
     settings = zo.PushSettings(phases=2, steps=2, reach=0.1)
     pushes = [zo.largest_push(one, settings=settings) for one in (plain, orbit)]
     for one, other in zip(pushes[0].pushes, pushes[1].pushes, strict=True):
@@ -240,7 +242,7 @@ def test_a_stable_orbit_of_events_is_pushed_as_the_same_orbit_with_one_stop(name
         assert one.largest == pytest.approx(other.largest, rel=1e-3, nan_ok=True)
     # A period may also start at its Zeno point.
     if section == "release stop":
-        orbit = zo.find_event_orbit(name, section="zeno stop")
+        orbit = zo.find_orbit(name, section="zeno stop").unwrap()
         found = zo.largest_push(orbit, settings=replace(settings, phases=1, steps=1))
         assert found.spectral_radius == pytest.approx(pushes[0].spectral_radius, abs=1e-6)
 
@@ -271,9 +273,9 @@ RESONANT = {"omega": 1.2, "stop": 1.7 / math.hypot(1 - 1.2**2, 0.12)}
 
 @pytest.mark.slow
 def test_the_largest_push_of_an_orbit_of_events_with_one_stop_separates_the_motions() -> None:
-    orbit = zo.find_event_orbit(
+    orbit = zo.find_orbit(
         "impact_oscillator", parameters=RESONANT, start={"cosine": 1.0, "speed": 5.0}
-    )
+    ).unwrap()
     settings = zo.PushSettings(phases=6, steps=24, reach=2.0, error=1e-3)
     found = zo.largest_push(orbit, settings=settings)
     lost = [push for push in found.pushes if math.isfinite(push.largest)]
@@ -329,7 +331,7 @@ def test_mirror_images_of_an_orbit_have_the_same_pushes() -> None:
     found: list[list[float]] = []
     for mirrored in (False, True):
         problem = _valley(mirrored)
-        orbit = zo.find_event_orbit(problem)
+        orbit = zo.find_orbit(problem).unwrap()
         assert {name.partition(" ")[2] for name in orbit.sequence} == {
             "left" if mirrored else "right"
         }

@@ -56,7 +56,7 @@ def test_a_hopper_recovers_by_its_multiplier_and_from_every_speed(seed: int) -> 
     # e^2. So the ball ends where the speed after the impact vanishes.
     drawn = random.Random(seed)
     a, s, e = drawn.uniform(15.0, 40.0), drawn.uniform(0.03, 0.2), drawn.uniform(0.3, 0.8)
-    orbit = zo.find_event_orbit("hopper", parameters={"a": a, "s": s, "restitution": e})
+    orbit = zo.find_orbit("hopper", parameters={"a": a, "s": s, "restitution": e}).unwrap()
     found = zo.recovery(orbit, settings=fine(part=1e-3, seed=seed))
     assert found.spectral_radius == pytest.approx(e**2, rel=1e-8)
     assert found.contraction == pytest.approx(e**2, rel=1e-8)
@@ -113,7 +113,7 @@ def test_a_ball_ends_where_the_ceiling_is_struck(above: float) -> None:
     launch = e * math.sqrt(2 * a * s / (1 - e**2))
     apex = (launch**2 / 2 + a * s) / g
     height = (1 + above) * apex
-    orbit = zo.find_event_orbit(CEILING, parameters={"H": height})
+    orbit = zo.find_orbit(CEILING, parameters={"H": height}).unwrap()
     assert not any("ceiling" in name for name in orbit.sequence)
     found = zo.recovery(orbit, problem=CEILING, settings=fine())
     highest = math.sqrt(2 * (g * height - a * s))
@@ -170,7 +170,7 @@ def test_a_ball_reaches_the_boundary_of_the_basin_and_does_not_cross_it(seed: in
     drawn = random.Random(seed)
     a = drawn.uniform(0.5, 20.0)
     b = a * 10 ** drawn.uniform(-1.0, 0.9)
-    orbit = zo.find_event_orbit(SHAKEN, parameters={"a": a, "b": b}, section="release table")
+    orbit = zo.find_orbit(SHAKEN, parameters={"a": a, "b": b}, section="release table").unwrap()
     found = zo.recovery(orbit, problem=SHAKEN, settings=fine(part=1e-3, seed=seed))
     period = 2 * math.pi / 30.0
     assert found.spectral_radius == pytest.approx(math.exp(-a * period), rel=1e-6)
@@ -180,9 +180,9 @@ def test_a_ball_reaches_the_boundary_of_the_basin_and_does_not_cross_it(seed: in
 
 
 def test_a_slow_decay_has_its_number_of_periods() -> None:
-    orbit = zo.find_event_orbit(
+    orbit = zo.find_orbit(
         SHAKEN, parameters={"a": 1e-4}, section="release table", start={"cosine": 1.0, "z": 0.0}
-    )
+    ).unwrap()
     found = zo.recovery(orbit, problem=SHAKEN, settings=fine(samples=1, error=0.1))
     assert found.periods == pytest.approx(math.log(100) / (1e-4 * 2 * math.pi / 30), rel=1e-5)
 
@@ -216,7 +216,7 @@ def test_a_stop_that_stays_closed_has_no_coordinates(section: str) -> None:
         model=beside_a_resting_mass,
         starts=({"cosine": 1.0},),
     )
-    orbit = zo.find_event_orbit(problem, section=section)
+    orbit = zo.find_orbit(problem, section=section).unwrap()
     found = zo.recovery(orbit, problem=problem, settings=fine(samples=5))
     # The phase of the clock is the only one, and a release determines it.
     assert len(found.norm) == (section == "zeno table")
@@ -280,7 +280,7 @@ def test_a_ball_ends_where_the_switch_does_not_occur(
         starts=({"height": 0.0, "speed": 3.1},),
         portraits=(("height", "speed"),),
     )
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     found = zo.recovery(orbit, problem=problem, settings=fine())
     assert found.norm.shape == (1, 1)
     assert found.spectral_radius == pytest.approx(e, rel=1e-8)
@@ -316,7 +316,7 @@ def oscillators() -> list[TwoSided]:
 def test_a_two_sided_oscillator_recovers_by_its_multipliers(k: int) -> None:
     o = oscillators()[k]
     numbers = {"c": o.c, "omega": o.omega, "d": o.stop, "restitution": o.restitution}
-    orbit = zo.find_event_orbit(
+    orbit = zo.find_orbit(
         "clapper",
         parameters={**numbers, "A": o.amplitude},
         start={
@@ -325,7 +325,7 @@ def test_a_two_sided_oscillator_recovers_by_its_multipliers(k: int) -> None:
             "cosine": math.cos(0.3 * math.pi + o.phase),
             "sine": math.sin(0.3 * math.pi + o.phase),
         },
-    )
+    ).unwrap()
     assert set(orbit.sequence) == {"impact upper", "impact lower"}
     found = zo.recovery(orbit, settings=fine(samples=10, error=0.1))
     rate = rate_of(o)
@@ -386,7 +386,7 @@ def pair_rate(o: ImpactPair) -> float:
 def recovering_pair(k: int) -> tuple[Pair, zo.Orbit, zo.Recovery]:
     o = stable(impact_pair, pair_rate, k + 1)[k]
     numbers = {"A": o.amplitude, "restitution": o.restitution, "d": o.length / 2}
-    orbit = zo.find_event_orbit(
+    orbit = zo.find_orbit(
         "clapper",
         parameters={**numbers, "k": 0.0, "c": 0.0, "omega": 1.0},
         start={
@@ -395,7 +395,7 @@ def recovering_pair(k: int) -> tuple[Pair, zo.Orbit, zo.Recovery]:
             "cosine": math.sin(o.phase),
             "sine": -math.cos(o.phase),
         },
-    )
+    ).unwrap()
     return Pair(o), orbit, zo.recovery(orbit, settings=fine(samples=100))
 
 
@@ -465,7 +465,7 @@ def test_states_of_the_ball_of_an_impact_pair_return_and_a_larger_ball_is_left(k
 
 @cache
 def _walker() -> tuple[zo.Orbit, zo.Recovery]:
-    orbit = zo.find_event_orbit("kneed_walker", parameters={"restitution": 0.0})
+    orbit = zo.find_orbit("kneed_walker", parameters={"restitution": 0.0}).unwrap()
     return orbit, zo.recovery(orbit)
 
 
@@ -613,7 +613,7 @@ def test_an_impact_that_opens_another_stop_and_its_release_start_the_same_period
     )
     wall, *floor = (
         zo.recovery(
-            zo.find_event_orbit(problem, section=section),
+            zo.find_orbit(problem, section=section).unwrap(),
             problem=problem,
             settings=fine(samples=5, error=0.1),
         )
@@ -634,10 +634,10 @@ def test_an_impact_that_opens_another_stop_and_its_release_start_the_same_period
 def test_the_recovery_is_the_same_in_other_units(name: str, state: str) -> None:
     problem = zo.load_problem(name)
     settings = fine(samples=10)
-    here = zo.recovery(zo.find_event_orbit(problem, until=400.0), settings=settings)
+    here = zo.recovery(zo.find_orbit(problem, until=400.0).unwrap(), settings=settings)
     units = Units(mass=1e3, length=1e2, time=1e3)
     other = in_units(problem, units)
-    orbit = zo.find_event_orbit(other, until=400.0 * 1e3)
+    orbit = zo.find_orbit(other, until=400.0 * 1e3).unwrap()
     there = zo.recovery(orbit, problem=other, settings=settings)
     assert there.periods == here.periods
     assert there.time == pytest.approx(1e3 * here.time, rel=1e-9)
@@ -666,7 +666,7 @@ def test_orbits_of_events_that_are_unstable_open_or_of_another_problem_are_refus
 ) -> None:
     rng = np.random.default_rng(3)
     o = next(one for one in iter(lambda: two_sided(rng), None) if rate_of(one) > 1.5)
-    unstable = zo.find_event_orbit(
+    unstable = zo.find_orbit(
         "clapper",
         parameters={
             "c": o.c,
@@ -682,7 +682,7 @@ def test_orbits_of_events_that_are_unstable_open_or_of_another_problem_are_refus
             "sine": math.sin(0.1 * math.pi + o.phase),
         },
         until=5.5 * o.half,
-    )
+    ).unwrap()
     hopper = event_orbit("hopper")
     faster = {**hopper.start_state, "speed": 1.1 * hopper.start_state["speed"]}
     for orbit, said in (

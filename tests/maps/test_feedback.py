@@ -118,7 +118,7 @@ DEADBEAT: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
 @pytest.mark.parametrize("name", fast(2, DEADBEAT))
 def test_deadbeat_takes_as_many_periods_as_coordinates(name: str) -> None:
     how, inputs = DEADBEAT[name]
-    found = zo.design_feedback(zo.find_event_orbit(name, **how), inputs, method="deadbeat")
+    found = zo.design_feedback(zo.find_orbit(name, **how).unwrap(), inputs, method="deadbeat")
     d = len(found.returns.coordinates)
     along = np.random.default_rng(5).normal(size=d)
 
@@ -162,7 +162,7 @@ def _noisy(found: zo.Feedback, errors: Any) -> tuple[Any, Any]:
 
 @pytest.mark.parametrize("delay", [False, True])
 def test_errors_of_readings_act_as_in_a_loop_that_has_them(delay: bool) -> None:
-    found = zo.design_feedback(zo.find_event_orbit("hopper"), ["a"], weight=2.0, delay=delay)
+    found = zo.design_feedback(zo.find_orbit("hopper").unwrap(), ["a"], weight=2.0, delay=delay)
     size = 1e-4
     points, inputs = _noisy(found, np.full((20, 1), size))
     shift = found.offset({"speed": size})
@@ -177,7 +177,7 @@ def test_errors_of_readings_act_as_in_a_loop_that_has_them(delay: bool) -> None:
 
 
 def test_errors_of_readings_have_closed_forms_of_one_coordinate() -> None:
-    found = zo.design_feedback(zo.find_event_orbit("hopper"), ["a"], weight=2.0)
+    found = zo.design_feedback(zo.find_orbit("hopper").unwrap(), ["a"], weight=2.0)
     known = found.returns
     a, b = known.jacobian[0, 0], known.parameter_jacobian[0, known.parameter_names.index("a")]
     k, rest, size = found.gain[0, 0], a - b * found.gain[0, 0], 0.01

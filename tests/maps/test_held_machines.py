@@ -42,7 +42,7 @@ MACHINES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 @pytest.mark.parametrize("case", fast(2, MACHINES))
 def test_the_machine_has_the_multipliers_of_the_design(case: str) -> None:
     how, asked = MACHINES[case]
-    found = zo.design_feedback(zo.find_event_orbit(case.split()[0], **how), **asked)
+    found = zo.design_feedback(zo.find_orbit(case.split()[0], **how).unwrap(), **asked)
     machine = found.machine()
     orbit = zo.find_orbit_by_shooting(machine).unwrap()
     assert orbit.period == pytest.approx(found.returns.period, rel=1e-10)

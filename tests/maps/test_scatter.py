@@ -69,7 +69,7 @@ def kicked_ball(*, roof: bool = False, fall: float = 0.0) -> zo.Problem:
 
 
 def _scatter(problem: zo.Problem, spread: Mapping[str, float], **settings: int) -> Scatter:
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     return scatter_of(problem, orbit, spread, settings=ScatterSettings(**settings))
 
 
@@ -143,7 +143,7 @@ def test_the_period_of_a_clock_does_not_scatter() -> None:
 def test_motions_are_lost_as_often_as_the_ball_is_not_at_rest_at_the_kick() -> None:
     e, spread, turn = 0.5, 0.4, 0.6
     problem = kicked_ball()
-    orbit = zo.find_event_orbit(problem, parameters={"omega": 2 * math.pi / turn})
+    orbit = zo.find_orbit(problem, parameters={"omega": 2 * math.pi / turn}).unwrap()
     found = scatter_of(
         problem, orbit, {"restitution": spread}, settings=ScatterSettings(periods=2000)
     )
@@ -239,7 +239,7 @@ def test_a_ball_under_a_roof_is_simulated_as_by_hand() -> None:
 )
 def test_small_scatter_is_linear(name: str, spread: Mapping[str, float]) -> None:
     problem = zo.load_problem(name)
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     found = scatter_of(problem, orbit, spread, settings=ScatterSettings(periods=2000))
     assert not found.lost
     rows = [row for row in found.rows if row.deviation > 1e-9 * abs(row.orbit)]
@@ -250,7 +250,7 @@ def test_small_scatter_is_linear(name: str, spread: Mapping[str, float]) -> None
 
 def test_noise_of_a_state_decays_by_the_multipliers() -> None:
     problem = zo.load_problem("impact_oscillator")
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     found = scatter_of(problem, orbit, {"speed": 1e-3}, settings=ScatterSettings(periods=3))
     stability = zo.floquet_multipliers(orbit)
     # In two dimensions the covariance is the sum of the powers of the map, by hand.

@@ -132,7 +132,7 @@ def test_every_command_takes_a_start_that_is_a_formula(tmp_path: Path) -> None:
     """The period is a turn of the clock. A start inside of the stop would be refused."""
     file = between(tmp_path, FORMULA)
     for d in (0.4, 1.0, 1.3):
-        orbit = zo.search_event_gains(file, parameters={"d": d}).orbit
+        orbit = zo.search_gains(file, parameters={"d": d}).orbit
         assert orbit is not None
         assert orbit.period == pytest.approx(2 * math.pi, rel=1e-12)
     plane = zo.parameter_map(file, x=("d", 0.4, 1.3, 2), y=("e", 0.5, 0.6, 2))
@@ -167,7 +167,7 @@ def test_a_start_that_a_parameter_forbids_is_named_with_both_remedies(
 
 def test_a_search_skips_a_start_that_a_parameter_forbids(tmp_path: Path) -> None:
     file = between(tmp_path, '({"q": 1.0, "cosine": 1.0}, {"cosine": 1.0})')
-    orbit = zo.search_event_gains(file, parameters={"d": 0.6}).orbit
+    orbit = zo.search_gains(file, parameters={"d": 0.6}).orbit
     assert orbit is not None
     assert orbit.period == pytest.approx(2 * math.pi, rel=1e-12)
     with pytest.raises(zo.InputError, match="The declared start"):

@@ -123,7 +123,7 @@ ALWAYS_CLOSED = [
 
 @pytest.mark.parametrize("machine", fast(1, ALWAYS_CLOSED))
 def test_a_stop_that_is_closed_all_the_time_adds_no_multiplier(machine: Pressed) -> None:
-    orbit = zo.find_event_orbit(machine.problem, until=200.0)
+    orbit = zo.find_orbit(machine.problem, until=200.0).unwrap()
     certificate = zo.verify(orbit, problem=machine.problem)
     assert certificate.passed
     assert certificate.stable
@@ -138,7 +138,7 @@ def test_a_stop_that_is_closed_all_the_time_adds_no_multiplier(machine: Pressed)
 def test_every_answer_has_the_multipliers_of_admissible_disturbances() -> None:
     machine = Pressed(slopes=(0.7, 0.2))
     problem, largest = machine.problem, abs(machine.multipliers[0])
-    orbit = zo.find_event_orbit(problem, until=200.0)
+    orbit = zo.find_orbit(problem, until=200.0).unwrap()
     exact = pytest.approx(largest, abs=1e-8)
     assert abs(orbit.floquet_multipliers[0]) == exact
     (reached,) = attractors_at(problem, [problem.values()], until=200.0)
@@ -173,7 +173,7 @@ def test_an_orbit_moves_with_a_stop_that_is_closed_all_the_time() -> None:
 
     lift = zo.Quantity(name="lift", unit="m", meaning="height", default=0.0, lower=-1, upper=1)
     problem = replace(machine.problem, model=model, parameters=(lift,))
-    orbit = zo.find_event_orbit(problem, until=200.0)
+    orbit = zo.find_orbit(problem, until=200.0).unwrap()
     family = zo.continue_orbit(orbit, ("lift", 0.0, 0.4), problem=problem).families[0]
     first, last = family.points[0], family.points[-1]
     assert last.value == pytest.approx(0.4)
@@ -191,10 +191,10 @@ def _sections(orbit: zo.Orbit) -> list[str]:
 @pytest.mark.parametrize("restitution", [0.0, 0.4])
 def test_the_section_after_any_event_has_the_same_multipliers(restitution: float) -> None:
     machine = Pressed(slopes=(0.7,), striker=restitution)
-    names = _sections(zo.find_event_orbit(machine.problem, until=300.0))
+    names = _sections(zo.find_orbit(machine.problem, until=300.0).unwrap())
     assert len(names) > 1
     found = [
-        zo.find_event_orbit(machine.problem, until=300.0, section=name).floquet_multipliers
+        zo.find_orbit(machine.problem, until=300.0, section=name).unwrap().floquet_multipliers
         for name in names
     ]
     assert all(one == pytest.approx(found[0], abs=1e-8) for one in found)
@@ -346,7 +346,7 @@ STEP = 1e-6
 @cache
 def _linear(seed: int) -> tuple[Linear, zo.Orbit]:
     machine = Linear.drawn(seed)
-    return machine, zo.find_event_orbit(machine.problem, until=300.0)
+    return machine, zo.find_orbit(machine.problem, until=300.0).unwrap()
 
 
 def _require_equal(found: Sequence[complex], exact: Sequence[complex], error: float) -> None:
@@ -384,7 +384,7 @@ def test_an_orbit_has_the_same_multipliers_from_each_of_its_events(seed: int) ->
     names = _sections(orbit)
     assert len(names) > 1
     for name in names:
-        other = zo.find_event_orbit(machine.problem, until=300.0, section=name)
+        other = zo.find_orbit(machine.problem, until=300.0, section=name).unwrap()
         assert other.floquet_multipliers == pytest.approx(orbit.floquet_multipliers, abs=1e-8)
 
 
@@ -440,7 +440,7 @@ def test_both_forms_of_a_machine_have_the_multipliers_of_its_section(inductance:
     found = zo.find_orbit(plain).orbit
     assert found is not None
     one = zo.verify(found, problem=plain)
-    other = zo.verify(zo.find_event_orbit(named), problem=named)
+    other = zo.verify(zo.find_orbit(named).unwrap(), problem=named)
     # A release fixes gap, gap rate and contact force: one of the four directions is left.
     (first,), (second,) = one.multipliers, other.multipliers
     assert first == pytest.approx(second, abs=1e-8)

@@ -87,7 +87,7 @@ def _difference(work: Any, size: float) -> Any:
 
 @pytest.mark.parametrize("name", fast(2, MACHINES))
 def test_derivatives_are_those_of_differences(name: str) -> None:
-    found = zo.return_map(zo.find_event_orbit(name, **MACHINES[name]))
+    found = zo.return_map(zo.find_orbit(name, **MACHINES[name]).unwrap())
     x, size = found.fixed_point, 1 + np.abs(found.jacobian)
     assert found.map(x) == pytest.approx(x, rel=1e-11, abs=1e-12)
     assert np.all(found.errors < 1e-7 * size)
@@ -112,7 +112,7 @@ def test_derivatives_are_those_of_differences(name: str) -> None:
 
 @pytest.fixture(scope="module")
 def pendulum() -> zo.Orbit:
-    return zo.find_event_orbit("motor_pendulum", gains={"Kp": 2.5, "Kd": -1.1})
+    return zo.find_orbit("motor_pendulum", gains={"Kp": 2.5, "Kd": -1.1}).unwrap()
 
 
 def test_sections_of_an_orbit_have_the_same_multipliers(pendulum: zo.Orbit) -> None:

@@ -40,7 +40,7 @@ def _own_orbit(name: str, orbit: Path, file: str = "mine.py") -> None:
     source = (PROBLEMS / f"{name}.py").read_text(encoding="utf-8")
     assert f'name="{name}"' in source
     Path(file).write_text(source.replace(f'name="{name}"', 'name="mine"'), encoding="utf-8")
-    zo.write_orbit(zo.find_event_orbit(file), orbit)
+    zo.write_orbit(zo.find_orbit(file).unwrap(), orbit)
 
 
 def _edit(file: Path) -> None:

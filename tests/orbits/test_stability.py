@@ -28,7 +28,7 @@ Known = tuple[Orbit, zo.Problem, Sequence[complex]]
 
 
 def _hopper(e: float) -> Known:
-    orbit = zo.find_event_orbit("hopper", parameters={"restitution": e})
+    orbit = zo.find_orbit("hopper", parameters={"restitution": e}).unwrap()
     return orbit, zo.load_problem("hopper"), [e**2]
 
 
@@ -42,9 +42,9 @@ def _two_sided(seed: int) -> Known:
     place, speed = made.state(0.0)
     cosine, sine = math.cos(made.phase), math.sin(made.phase)
     start = {"place": place, "speed": speed, "cosine": cosine, "sine": sine}
-    orbit = zo.find_event_orbit(
+    orbit = zo.find_orbit(
         problem, parameters={**values, "restitution": made.restitution}, start=start
-    )
+    ).unwrap()
     return orbit, problem, list(made.multipliers**2)
 
 
@@ -66,7 +66,7 @@ def _impact_pair() -> Known:
     # In the frame of the ends, the force is A sin t = A cos(t - pi / 2).
     given = {"c": 0.0, "k": 0.0, "d": made.length / 2, "A": a, "omega": 1.0, "restitution": e}
     start = {"place": -made.length / 2, "speed": after, "cosine": math.sin(p), "sine": -math.cos(p)}
-    orbit = zo.find_event_orbit(problem, parameters=given, start=start)
+    orbit = zo.find_orbit(problem, parameters=given, start=start).unwrap()
     return orbit, problem, list(values)
 
 
@@ -79,14 +79,14 @@ def _published_oscillator() -> Known:
 
 def _pressed(*slopes: float, damping: float = 0.3, decay: float = 0.0) -> Known:
     machine = Pressed(slopes=slopes, damping=damping, decay=decay)
-    orbit = zo.find_event_orbit(machine.problem, until=200.0)
+    orbit = zo.find_orbit(machine.problem, until=200.0).unwrap()
     return orbit, machine.problem, machine.multipliers
 
 
 def _rimless_wheel() -> Known:
     # A spoke keeps the part cos(2 alpha)^2 of the squared speed, 1/2 for eight spokes.
     problem = wheel()
-    return zo.find_event_orbit(problem), problem, [0.5]
+    return zo.find_orbit(problem).unwrap(), problem, [0.5]
 
 
 def _observer() -> Known:
@@ -138,7 +138,7 @@ def test_every_multiplier_is_within_its_error_of_the_closed_form(name: str) -> N
 @pytest.mark.parametrize("off", [1e-8, 1e-6, 1e-4])
 def test_the_errors_of_an_orbit_that_is_not_closed_cover_its_distance(off: float) -> None:
     # The speed of each impact decides: v'^2 = e^2 v^2 + 2 a s, so the slope is e^2 v / v'.
-    orbit = zo.find_event_orbit("hopper", parameters={"restitution": 0.95})
+    orbit = zo.find_orbit("hopper", parameters={"restitution": 0.95}).unwrap()
     speed = orbit.start_state["speed"] * (1.0 + off)
     start = {**orbit.start_state, "speed": speed}
     found = zo.floquet_multipliers(
@@ -173,7 +173,7 @@ MACHINES = (
 def _orbit(name: str) -> Orbit:
     problem = zo.load_problem(name)
     if problem.has_graph:
-        return zo.find_event_orbit(problem)
+        return zo.find_orbit(problem).unwrap()
     return zo.find_orbit_by_shooting(problem).unwrap()
 
 
@@ -290,7 +290,7 @@ def test_a_disturbance_in_a_long_simulation_decays_in_the_printed_time(name: str
 
 @pytest.mark.parametrize("e", [0.9, 0.95])
 def test_the_hopper_takes_the_periods_of_its_closed_form_to_recover(e: float) -> None:
-    orbit = zo.find_event_orbit("hopper", parameters={"restitution": e})
+    orbit = zo.find_orbit("hopper", parameters={"restitution": e}).unwrap()
     found = zo.floquet_multipliers(orbit)
     speed = orbit.start_state["speed"]
     start = {**orbit.start_state, "speed": speed * (1 + 1e-6)}

@@ -110,7 +110,7 @@ def test_gaits_with_a_zeno_knee_end_where_heel_strike_meets_the_zeno_point() -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("section", ["zeno knee", "switch heel strike"])
 def test_a_gait_is_the_same_from_every_section(section: str) -> None:
-    orbit = zo.find_event_orbit("kneed_walker", section=section)
+    orbit = zo.find_orbit("kneed_walker", section=section).unwrap()
     usual = event_orbit("kneed_walker")
     assert orbit.events[-1].name == section
     assert orbit.certificate["passed"]
@@ -228,7 +228,7 @@ def test_an_orbit_of_a_relay_is_verified_from_every_section() -> None:
     # From the switch at U = 27.75 V, a run at 100 times the tolerance differs by 1.4e-9.
     sections = ("zeno open", "switch kink 1")
     orbits = [
-        zo.find_event_orbit("relay", parameters={"U": 27.75}, section=one) for one in sections
+        zo.find_orbit("relay", parameters={"U": 27.75}, section=one).unwrap() for one in sections
     ]
     assert all(orbit.certificate["passed"] for orbit in orbits)
     speeds = [
@@ -312,21 +312,21 @@ def test_events_out_of_order_are_refused(tmp_path: Path) -> None:
 
 def test_a_section_that_does_not_occur_is_refused_with_the_known_events() -> None:
     with pytest.raises(zo.InputError, match=r"zeno knee.*but it is `zeno elbow`"):
-        zo.find_event_orbit("kneed_walker", section="zeno elbow")
+        zo.find_orbit("kneed_walker", section="zeno elbow").unwrap()
 
 
 def test_an_impact_that_accumulates_is_no_section() -> None:
     with pytest.raises(zo.InputError, match=r"accumulate: take `zeno knee`"):
-        zo.find_event_orbit("kneed_walker", section="impact knee")
+        zo.find_orbit("kneed_walker", section="impact knee").unwrap()
 
 
 @pytest.mark.parametrize("problem", ["clapper", "hopper", "relief_valve"])
 def test_period_and_multipliers_do_not_depend_on_the_section(problem: str) -> None:
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     limits = {name.replace("zeno", "impact") for name in orbit.sequence}
     others = {event.name for event in orbit.events} - limits - {orbit.section}
     for section in others:
-        other = zo.find_event_orbit(problem, section=section)
+        other = zo.find_orbit(problem, section=section).unwrap()
         assert other.certificate["passed"]
         assert other.period == pytest.approx(orbit.period, rel=1e-12)
         sizes = [sorted(map(abs, one.floquet_multipliers)) for one in (orbit, other)]
@@ -336,7 +336,7 @@ def test_period_and_multipliers_do_not_depend_on_the_section(problem: str) -> No
 @pytest.mark.parametrize("section", [None, "zeno stop"])
 def test_a_machine_with_one_stop_has_the_same_orbit_from_each_section(section: str | None) -> None:
     numbers = {"Kp": 2.5, "Kd": -1.0}
-    events = zo.find_event_orbit("motor_pendulum", gains=numbers, section=section)
+    events = zo.find_orbit("motor_pendulum", gains=numbers, section=section).unwrap()
     phases = zo.find_orbit("motor_pendulum", gains=numbers).unwrap()
     assert events.section == (section or "release stop")
     assert events.has_phases == (section is None)

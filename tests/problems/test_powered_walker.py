@@ -94,7 +94,7 @@ def test_without_current_the_walk_ends() -> None:
 
 @pytest.mark.slow
 def test_a_search_finds_gains_for_a_faster_and_cheaper_step() -> None:
-    found = zo.search_event_gains("powered_walker", objective=zo.TargetPeriod(target=0.55))
+    found = zo.search_gains("powered_walker", objective=zo.TargetPeriod(target=0.55))
     orbit = found.orbit
     assert orbit is not None
     assert orbit.certificate["passed"]

@@ -21,7 +21,7 @@ SAMPLES = 12
 
 @cache
 def _orbit() -> zo.Orbit:
-    return zo.find_event_orbit("sampled_pendulum", until=25.0)
+    return zo.find_orbit("sampled_pendulum", until=25.0).unwrap()
 
 
 def by_hand(p: Mapping[str, float], first_sample: float) -> Machine:

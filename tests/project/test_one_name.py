@@ -35,7 +35,7 @@ COMMANDS, FUNCTIONS = _commands(), _functions()
 
 SAME = {
     "simulate": ["simulate"],
-    "search": ["search_gains", "search_event_gains", "find_orbit", "find_event_orbit"],
+    "search": ["search_gains", "find_orbit"],
     "verify": ["verify"],
     "stability": ["floquet_multipliers"],
     "prove": ["prove", "prove_branch"],

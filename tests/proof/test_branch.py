@@ -217,7 +217,7 @@ def test_ranges_of_two_orbits_are_not_joined_into_one_branch(
 def wheel() -> zo.BranchProof:
     """Return the branch of the rolling motion of a wheel without a rim, in the slope."""
     problem = switched.rimless_wheel()
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     return zo.prove_branch(orbit, ("slope", 0.08, 0.080012), problem=problem)
 
 

@@ -55,7 +55,7 @@ def machine() -> Problem:
 
 @pytest.fixture(scope="module")
 def orbit(machine: Problem) -> Orbit:
-    return zo.find_event_orbit(machine)
+    return zo.find_orbit(machine).unwrap()
 
 
 @pytest.fixture(scope="module")

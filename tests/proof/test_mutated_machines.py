@@ -169,7 +169,7 @@ CHANGES: Sequence[Change] = (
 @pytest.fixture(scope="module")
 def certificates() -> Mapping[str, Certificate]:
     def one(problem: Problem) -> Certificate:
-        proof = zo.prove(zo.find_event_orbit(problem), problem=problem)
+        proof = zo.prove(zo.find_orbit(problem).unwrap(), problem=problem)
         assert proof.proved, proof.verdict()
         return json.loads(json.dumps(dict(proof.certificate)))
 
@@ -249,7 +249,7 @@ def _twin_of(problem: Problem) -> Problem:
 @pytest.mark.slow
 def test_two_switches_at_the_same_time_are_refused_by_prover_and_checker() -> None:
     problem = switched.rimless_wheel()
-    twin, orbit = _twin_of(problem), zo.find_event_orbit(problem)
+    twin, orbit = _twin_of(problem), zo.find_orbit(problem).unwrap()
     proof = zo.prove(replace(orbit, problem=twin.name, problem_digest=()), problem=twin)
     assert not proof.proved
     false = copy.deepcopy(dict(zo.prove(orbit, problem=problem).certificate))

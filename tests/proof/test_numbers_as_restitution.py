@@ -63,8 +63,8 @@ def _problem(name: str, **further: Any) -> Problem:
 def test_a_number_as_restitution_is_proved_with_the_digits_of_a_parameter() -> None:
     named = _problem("named", restitution=zo.Quantity.restitution(E))
     plain = _problem("plain")
-    found = zo.prove(zo.find_event_orbit(plain), problem=plain)
-    wanted = zo.prove(zo.find_event_orbit(named), problem=named)
+    found = zo.prove(zo.find_orbit(plain).unwrap(), problem=plain)
+    wanted = zo.prove(zo.find_orbit(named).unwrap(), problem=named)
     assert found.proved, found.verdict()
     assert wanted.proved, wanted.verdict()
     assert found.bounds is not None

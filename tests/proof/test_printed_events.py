@@ -62,7 +62,7 @@ def _problem(name: str) -> zo.Problem:
 @pytest.mark.parametrize("name", LAWS)
 def test_a_theorem_lists_the_impact_on_the_other_stop(name: str, tmp_path: Path) -> None:
     problem = _problem(name)
-    orbit = zo.find_event_orbit(problem, section="release floor")
+    orbit = zo.find_orbit(problem, section="release floor").unwrap()
     proof = zo.prove(orbit, problem=problem)
     held = "plastic impact on floor" if name == "mixed" else "Zeno point of floor"
     assert proof.proved

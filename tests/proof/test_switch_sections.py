@@ -27,7 +27,7 @@ def _proof(problem: Problem) -> Proof:
 
 
 def _proof_of(problem: Problem, **parameters: float) -> Proof:
-    found = zo.prove(zo.find_event_orbit(problem, parameters=parameters), problem=problem)
+    found = zo.prove(zo.find_orbit(problem, parameters=parameters).unwrap(), problem=problem)
     assert found.proved, found.verdict()
     return found
 
@@ -185,7 +185,7 @@ def test_a_certificate_of_another_machine_is_refused(wheel: Proof) -> None:
 
 def test_a_wheel_whose_strike_is_not_armed_is_not_proved() -> None:
     problem = switched.rimless_wheel()
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     # Upwards the switch is not armed, so no motion strikes.
     back = {**orbit.start_state, "rate": -orbit.start_state["rate"]}
     events = tuple(replace(e, state={**e.state, "rate": -e.state["rate"]}) for e in orbit.events)
@@ -246,7 +246,7 @@ def test_no_edited_certificate_of_the_lifted_block_is_accepted(lifted: Proof, na
 @pytest.mark.slow
 def test_a_block_that_is_put_below_its_table_is_named() -> None:
     problem = switched.lifted_block()
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     below = replace(orbit, parameters={**orbit.parameters, "lift": -0.5})
     proof = zo.prove(below, problem=problem)
     assert (proof.proved, proof.claim) == (False, "switch")
@@ -256,7 +256,7 @@ def test_a_block_that_is_put_below_its_table_is_named() -> None:
 @pytest.mark.slow
 def test_a_reset_throws_a_block_up_from_its_table() -> None:
     problem = switched.thrown_block()
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     proof = zo.prove(orbit, problem=problem)
     assert proof.proved, proof.verdict()
     assert proof.bounds is not None
@@ -283,7 +283,7 @@ def test_a_reset_throws_a_block_up_from_its_table() -> None:
 @pytest.mark.slow
 def test_two_stops_that_are_closed_at_the_same_time_are_refused_with_their_names() -> None:
     problem = switched.two_blocks()
-    proof = zo.prove(zo.find_event_orbit(problem), problem=problem)
+    proof = zo.prove(zo.find_orbit(problem).unwrap(), problem=problem)
     assert (proof.proved, proof.claim) == (False, "shape")
     assert "is struck while stop `" in proof.reason
     assert "`left`" in proof.reason
@@ -293,7 +293,7 @@ def test_two_stops_that_are_closed_at_the_same_time_are_refused_with_their_names
 @pytest.mark.slow
 def test_the_wheel_is_proved_over_slopes_that_move_its_section() -> None:
     problem = switched.rimless_wheel()
-    proof = zo.prove(zo.find_event_orbit(problem), problem=problem, interval={"slope": 1e-9})
+    proof = zo.prove(zo.find_orbit(problem).unwrap(), problem=problem, interval={"slope": 1e-9})
     assert proof.proved, proof.verdict()
     assert proof.bounds is not None
     rates = proof.bounds.start_state["rate"]
@@ -334,7 +334,7 @@ def test_states_that_are_not_just_before_the_switch_are_refused(
 @pytest.mark.slow
 def test_a_box_that_reaches_into_a_stop_before_the_switch_is_not_proved() -> None:
     problem = switched.returned_block(rests=False)
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     assert zo.prove(orbit, problem=problem, radius=0.5).proved
     found = zo.prove(orbit, problem=problem, radius=1.5)
     assert found.verdict().startswith("Not proved: `section`: a gap is not proved positive just")

@@ -168,7 +168,7 @@ def test_the_page_shows_pushes_and_recovery_of_this_orbit_only(tmp_path: Path) -
     assert f"{recovery.extents['speed']:.4g}" in section
     assert pushes.least is not None
     assert f"{pushes.least.largest:.6g}" in section
-    other = zo.find_event_orbit("hopper", parameters={"a": 21.0})
+    other = zo.find_orbit("hopper", parameters={"a": 21.0}).unwrap()
     with pytest.raises(InputError, match="`recovery` must be of this orbit"):
         zo.report_page(other, recovery=file)
     with pytest.raises(InputError, match="`pushes` must be of this orbit"):

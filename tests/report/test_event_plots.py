@@ -180,7 +180,7 @@ def test_a_zoom_has_a_row_for_every_stop_with_its_own_gap_and_impacts(
 
 @pytest.mark.slow
 def test_a_family_marks_the_end_at_which_two_events_meet() -> None:
-    orbit = zo.find_event_orbit("kneed_walker", parameters={"restitution": 0.38})
+    orbit = zo.find_orbit("kneed_walker", parameters={"restitution": 0.38}).unwrap()
     found = zo.continue_orbit(orbit, ("restitution", 0.379, 0.40))
     figure = zo.plot(found)
     assert "two events meet" in _labels(figure)

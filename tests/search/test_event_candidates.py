@@ -74,7 +74,9 @@ def assert_mirror_images(one: zo.Orbit, other: zo.Orbit) -> None:
 
 @pytest.mark.slow
 def test_both_mirror_images_of_an_impact_pair_are_found_and_verified() -> None:
-    found = zo.search_event_gains("clapper", vary={}, parameters=PAIR, candidates=3)
+    found = zo.search_gains(
+        "clapper", vary={}, parameters=PAIR, settings=zo.SearchSettings(candidates=3)
+    )
     orbits = [one.orbit for one in found.candidates]
     assert len(orbits) == 2
     for one in found.candidates:
@@ -90,7 +92,9 @@ def test_both_mirror_images_of_an_impact_pair_are_found_and_verified() -> None:
 @pytest.mark.slow
 def test_two_pairs_of_mirror_images_coexist() -> None:
     parameters = PAIR | {"restitution": 0.7}
-    found = zo.search_event_gains("clapper", vary={}, parameters=parameters, candidates=4)
+    found = zo.search_gains(
+        "clapper", vary={}, parameters=parameters, settings=zo.SearchSettings(candidates=4)
+    )
     orbits = sorted((one.orbit for one in found.candidates), key=lambda one: one.period)
     turn = 2 * math.pi / PAIR["omega"]
     assert [one.period / turn for one in orbits] == pytest.approx([1.0, 1.0, 2.0, 2.0], rel=1e-11)
@@ -102,7 +106,7 @@ def test_two_pairs_of_mirror_images_coexist() -> None:
 
 @pytest.mark.slow
 def test_a_symmetric_machine_with_one_attractor_has_one_candidate() -> None:
-    found = zo.search_event_gains("clapper", vary={}, candidates=2)
+    found = zo.search_gains("clapper", vary={}, settings=zo.SearchSettings(candidates=2))
     assert len(found.candidates) == 1
     assert found.candidates[0].starts == 1
 
@@ -111,8 +115,12 @@ def test_a_symmetric_machine_with_one_attractor_has_one_candidate() -> None:
 def test_optima_of_equal_values_and_scores_are_different_if_their_orbits_are() -> None:
     free = {"A": (3.9, 4.1)}
     wish = zo.MinImpactLoss()
-    found = zo.search_event_gains(
-        "clapper", vary=free, parameters=PAIR, objective=wish, candidates=2, n_starts=1
+    found = zo.search_gains(
+        "clapper",
+        vary=free,
+        parameters=PAIR,
+        objective=wish,
+        settings=zo.SearchSettings(candidates=2, n_starts=1),
     )
     one, other = found.candidates
     assert [one.orbit.parameters["A"], other.orbit.parameters["A"]] == pytest.approx([3.9, 3.9])
@@ -123,8 +131,11 @@ def test_optima_of_equal_values_and_scores_are_different_if_their_orbits_are() -
 
 def test_several_starts_that_lead_to_one_orbit_are_counted() -> None:
     # The least loss is at the least push, from wherever the search starts.
-    found = zo.search_event_gains(
-        "hopper", vary={"a": (15.0, 40.0)}, objective=zo.MinImpactLoss(), candidates=2, n_starts=2
+    found = zo.search_gains(
+        "hopper",
+        vary={"a": (15.0, 40.0)},
+        objective=zo.MinImpactLoss(),
+        settings=zo.SearchSettings(candidates=2, n_starts=2),
     )
     (one,) = found.candidates
     assert one.starts == len(found.attempts) == 3
@@ -133,14 +144,18 @@ def test_several_starts_that_lead_to_one_orbit_are_counted() -> None:
 
 def test_less_than_one_candidate_is_refused() -> None:
     with pytest.raises(zo.InputError, match="`candidates` must be at least 1, but it is 0"):
-        zo.search_event_gains("hopper", vary={}, candidates=0)
+        zo.search_gains("hopper", vary={}, settings=zo.SearchSettings(candidates=0))
 
 
 @pytest.mark.slow
 def test_scaled_lengths_have_the_same_candidates() -> None:
-    metres = zo.search_event_gains("clapper", vary={}, parameters=PAIR, candidates=2)
+    metres = zo.search_gains(
+        "clapper", vary={}, parameters=PAIR, settings=zo.SearchSettings(candidates=2)
+    )
     scaled = PAIR | {"A": 4e-3, "d": 1e-3}
-    millimetres = zo.search_event_gains("clapper", vary={}, parameters=scaled, candidates=2)
+    millimetres = zo.search_gains(
+        "clapper", vary={}, parameters=scaled, settings=zo.SearchSettings(candidates=2)
+    )
     for one, other in zip(metres.candidates, millimetres.candidates, strict=True):
         assert other.orbit.sequence == one.orbit.sequence
         times = [event.time for event in one.orbit.events]

@@ -22,7 +22,7 @@ G = 9.81
 
 def widest(name: str, free: dict[str, tuple[float, float]], **options: Any) -> zo.SearchResult:
     """Return the orbit of the widest margin, which must be verified."""
-    found = zo.search_event_gains(name, vary=free, objective=zo.MaxMargin(), **options)
+    found = zo.search_gains(name, vary=free, objective=zo.MaxMargin(), **options)
     assert found.certificate is not None
     assert found.certificate.passed
     return found
@@ -157,7 +157,7 @@ def test_a_margin_keeps_the_bounds() -> None:
 
 def test_a_bound_on_the_speed_of_the_first_impact_has_its_closed_form() -> None:
     bound = zo.Bound(name="first_impact_speed", lower=3.0)
-    found = zo.search_event_gains("hopper", vary={"a": (5.0, 40.0)}, bounds=[bound])
+    found = zo.search_gains("hopper", vary={"a": (5.0, 40.0)}, bounds=[bound])
     assert found.free["a"] == pytest.approx(9.0 * 0.75 / 0.2, rel=1e-6)
 
 
@@ -165,7 +165,7 @@ def test_a_bound_on_the_speed_of_the_first_impact_has_its_closed_form() -> None:
 @pytest.mark.parametrize(("name", "lower"), [("locked_time", 4.0), ("margin", 0.1)])
 def test_bounds_on_contacts_are_reached(name: str, lower: float) -> None:
     bound = zo.Bound(name=name, lower=lower)
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         "clapper", vary={"A": (1.2, 5.0)}, parameters={"A": 1.3}, bounds=[bound]
     )
     assert found.orbit is not None
@@ -187,14 +187,14 @@ def test_the_share_of_one_stop_is_that_of_its_list_of_events() -> None:
     # The locked arc is the nearest way to lose this orbit.
     share = orbit.certificate["margins"]["locked_time"] / orbit.period
     bound = zo.Bound(name="margin", lower=0.0)
-    found = zo.search_event_gains(problem, vary={}, gains={"Kp": 2.5, "Kd": -1.0}, bounds=[bound])
+    found = zo.search_gains(problem, vary={}, gains={"Kp": 2.5, "Kd": -1.0}, bounds=[bound])
     assert found.asked[0]["lowest"] == pytest.approx(share, rel=1e-6)
 
 
 @pytest.mark.slow
 def test_a_bound_that_no_orbit_keeps_is_answered_with_its_excess() -> None:
     bound = zo.Bound(name="first_impact_speed", lower=10.0)
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         "hopper", vary={"a": (5.0, 40.0)}, objective=zo.MaxMargin(), bounds=[bound]
     )
     assert found.orbit is None
@@ -219,7 +219,7 @@ def test_the_command_and_python_have_the_same_margin() -> None:
 
 def test_a_margin_without_a_free_value_is_refused() -> None:
     with pytest.raises(zo.InputError, match="needs a free value: name its range in `vary`"):
-        zo.search_event_gains("hopper", vary={}, objective=zo.MaxMargin())
+        zo.search_gains("hopper", vary={}, objective=zo.MaxMargin())
 
 
 def test_an_unknown_margin_is_refused_with_the_names() -> None:

@@ -33,7 +33,7 @@ BOX = {"U": (6.0, 25.0)}
 
 
 def _search(objective: Any, **options: Any) -> zo.SearchResult:
-    return zo.search_event_gains(COIL_HOPPER, objective=objective, **options)
+    return zo.search_gains(COIL_HOPPER, objective=objective, **options)
 
 
 def _least(function: Callable[[float], float]) -> float:
@@ -77,7 +77,7 @@ def test_the_peak_of_a_speed_is_its_value_before_an_impact() -> None:
 
 def test_a_third_harmonic_takes_its_known_part_from_the_peak_of_a_sine() -> None:
     # sin + sin(3)/6 has the peak sqrt(3)/2, the least of all third harmonics.
-    found = zo.search_event_gains(wave_coil((3,)), objective=zo.MinPeak(signal="current"))
+    found = zo.search_gains(wave_coil((3,)), objective=zo.MinPeak(signal="current"))
     assert found.free["g3"] == pytest.approx(1 / 6, abs=1e-6)
     assert found.value == pytest.approx(math.sqrt(3) / 2, rel=1e-10)
 
@@ -86,7 +86,7 @@ def test_a_third_harmonic_takes_its_known_part_from_the_peak_of_a_sine() -> None
 def test_two_harmonics_have_the_peak_of_a_linear_program() -> None:
     from scipy.optimize import linprog
 
-    found = zo.search_event_gains(wave_coil((3, 5)), objective=zo.MinPeak(signal="current"))
+    found = zo.search_gains(wave_coil((3, 5)), objective=zo.MinPeak(signal="current"))
     angles = np.linspace(0.0, np.pi / 2, 20001)
     waves = np.array([np.sin(3 * angles), np.sin(5 * angles)]).T
     one = np.ones((len(angles), 1))
@@ -223,7 +223,7 @@ def _along(course: EventCourse, found: EventReturn, reading: Reading) -> float:
 )
 def test_derivatives_along_orbits_are_those_of_differences(name: str, parameter: str) -> None:
     problem = zo.load_problem(name)
-    near = zo.find_event_orbit(problem)
+    near = zo.find_orbit(problem).unwrap()
     first = near.values(problem).number(parameter)
     step = 1e-4 * abs(first)
     course, found = _course(problem, near, parameter, first)
@@ -247,7 +247,7 @@ def test_derivatives_along_orbits_are_those_of_differences(name: str, parameter:
 
 def test_peaks_are_the_largest_values_of_a_fine_sampling() -> None:
     problem = zo.load_problem("limited_pendulum")
-    near = zo.find_event_orbit(problem)
+    near = zo.find_orbit(problem).unwrap()
     course, found = _course(problem, near, "U", 5.0)
     motion = found.execution
     times = np.linspace(0.0, found.period, 40001)
@@ -292,7 +292,7 @@ def test_an_inert_switch_does_not_change_the_optimum(
     objective: Any, bounds: list[zo.Bound]
 ) -> None:
     free = {"Kp": (2.0, 4.0), "Kd": (-1.2, -0.8)}
-    over_modes = zo.search_event_gains(_inert(), vary=free, objective=objective, bounds=bounds)
+    over_modes = zo.search_gains(_inert(), vary=free, objective=objective, bounds=bounds)
     plain = zo.search_gains("motor_pendulum", vary=free, objective=objective, bounds=bounds)
     assert over_modes.orbit is not None
     assert plain.orbit is not None
@@ -307,7 +307,7 @@ def test_an_inert_switch_does_not_change_the_optimum(
 @pytest.mark.slow
 def test_no_orbit_of_a_line_of_equal_periods_takes_less_energy() -> None:
     free = {"Kp": (1.5, 5.0), "Kd": (-1.4, -0.7)}
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         "limited_pendulum",
         vary=free,
         objective=zo.MinEnergy(),
@@ -316,7 +316,9 @@ def test_no_orbit_of_a_line_of_equal_periods_takes_less_energy() -> None:
     assert found.orbit is not None
 
     def orbit(kp: float, kd: float) -> zo.Orbit:
-        return zo.find_event_orbit("limited_pendulum", near=found.orbit, gains={"Kp": kp, "Kd": kd})
+        return zo.find_orbit(
+            "limited_pendulum", near=found.orbit, gains={"Kp": kp, "Kd": kd}
+        ).unwrap()
 
     for kp in np.linspace(1.5, 4.5, 7):
         # The period grows with the derivative gain.
@@ -333,7 +335,7 @@ def test_no_orbit_of_a_line_of_equal_periods_takes_less_energy() -> None:
 
 @pytest.mark.slow
 def test_the_largest_push_keeps_a_bound_and_has_its_closed_form() -> None:
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         "hopper",
         vary={"a": (15.0, 25.0)},
         objective=zo.MaxPush(),
@@ -354,7 +356,7 @@ def test_the_largest_push_keeps_a_bound_and_has_its_closed_form() -> None:
 
 @pytest.mark.slow
 def test_the_least_push_over_a_range_is_that_of_the_weakest_corner() -> None:
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         "hopper",
         vary={"a": (24.0, 25.0)},
         objective=zo.MaxPush(direction={"height": 1.0}, uncertain={"s": (0.08, 0.12)}),
@@ -369,13 +371,13 @@ def test_the_least_push_over_a_range_is_that_of_the_weakest_corner() -> None:
 
 
 def test_a_search_starts_at_a_known_orbit_and_takes_its_values(tmp_path: Path) -> None:
-    orbit = zo.find_event_orbit(COIL_HOPPER, gains={"U": 14.0}, parameters={"s": 0.12})
+    orbit = zo.find_orbit(COIL_HOPPER, gains={"U": 14.0}, parameters={"s": 0.12}).unwrap()
     path = tmp_path / "hopper.json"
     zo.write_orbit(orbit, path)
-    same = zo.find_event_orbit(COIL_HOPPER, near=path)
+    same = zo.find_orbit(COIL_HOPPER, near=path).unwrap()
     assert same.period == pytest.approx(orbit.period, rel=1e-12)
     assert same.gains == {"U": 14.0}
-    other = zo.find_event_orbit(COIL_HOPPER, near=path, gains={"U": 7.0})
+    other = zo.find_orbit(COIL_HOPPER, near=path, gains={"U": 7.0}).unwrap()
     assert other.period == pytest.approx(CoilHop(voltage=7.0, s=0.12).period, rel=1e-11)
     near = _search(zo.NearestGains(target={}), near=path)
     assert near.free["U"] == 14.0
@@ -388,7 +390,7 @@ def test_a_known_orbit_that_is_lost_on_the_way_is_named() -> None:
     known = event_orbit("hopper")
     with pytest.raises(zo.SimulationError, match="known orbit is lost"):
         # The push no longer carries the mass.
-        zo.find_event_orbit("hopper", near=known, parameters={"a": 5.0})
+        zo.find_orbit("hopper", near=known, parameters={"a": 5.0}).unwrap()
 
 
 @pytest.mark.parametrize(
@@ -406,7 +408,7 @@ def test_a_known_orbit_that_is_lost_on_the_way_is_named() -> None:
 )
 def test_invalid_searches_are_refused(options: dict[str, Any], words: str) -> None:
     if options.get("near"):
-        options = options | {"near": zo.find_event_orbit(COIL_HOPPER)}
+        options = options | {"near": zo.find_orbit(COIL_HOPPER).unwrap()}
     with pytest.raises(zo.InputError, match=words):
         _search(**{"objective": zo.MinEnergy(), **options})
 
@@ -417,13 +419,13 @@ def test_a_machine_without_a_source_has_no_energy_to_save() -> None:
         {"bounds": [zo.Bound(name="energy", upper=1.0)]},
     ):
         with pytest.raises(zo.InputError, match="lacks a source of energy"):
-            zo.search_event_gains("hopper", vary={"a": (10.0, 30.0)}, **options)
+            zo.search_gains("hopper", vary={"a": (10.0, 30.0)}, **options)
 
 
 def test_a_known_orbit_of_another_machine_or_format_is_refused() -> None:
     orbit = event_orbit("hopper")
     with pytest.raises(zo.InputError, match="must be an orbit of `coil_hopper`"):
-        zo.find_event_orbit(COIL_HOPPER, near=orbit)
+        zo.find_orbit(COIL_HOPPER, near=orbit).unwrap()
 
 
 def test_worst_energies_of_one_stop_are_those_of_its_list_of_events() -> None:
@@ -431,7 +433,7 @@ def test_worst_energies_of_one_stop_are_those_of_its_list_of_events() -> None:
     options = {"vary": {"A": (0.9, 1.1)}, "objective": objective}
     once = zo.SearchSettings(n_starts=0)
     found = zo.search_gains("forced_oscillator", settings=once, **options)
-    other = zo.search_event_gains("forced_oscillator", **options)
+    other = zo.search_gains("forced_oscillator", **options)
     assert found.candidates[0].score == pytest.approx(other.worst, rel=1e-9)
     # The stiffest force does the most work.
     assert other.worst > other.value
@@ -440,7 +442,7 @@ def test_worst_energies_of_one_stop_are_those_of_its_list_of_events() -> None:
 @pytest.mark.slow
 def test_the_default_section_of_a_sampled_machine_is_not_its_sample() -> None:
     # A motion cannot start at a sample, at which the switch is armed.
-    found = zo.search_event_gains("sampled_pendulum", vary={}, objective=zo.MinEnergy(), until=25.0)
+    found = zo.search_gains("sampled_pendulum", vary={}, objective=zo.MinEnergy(), until=25.0)
     assert found.orbit is not None
     assert found.value == pytest.approx(found.orbit.certificate["energies"]["input_work"], rel=1e-9)
 
@@ -449,16 +451,16 @@ def test_the_default_section_of_a_sampled_machine_is_not_its_sample() -> None:
 @pytest.mark.slow
 def test_a_search_does_not_go_on_from_another_orbit_where_its_own_is_lost() -> None:
     # At Kd = -0.725 motions settle to an orbit of seven times the period and four times the energy.
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         "sampled_pendulum",
         gains={"Kp": 2.5},
         vary={"Kd": (-1.2, -0.1)},
         objective=zo.MinEnergy(),
         method=zo.SearchMethod.SHOOTING,
-        n_starts=0,
         allow_unstable=True,
+        settings=zo.SearchSettings(n_starts=0),
     )
-    beside = zo.find_event_orbit("sampled_pendulum", gains={"Kp": 2.5, "Kd": -0.983})
+    beside = zo.find_orbit("sampled_pendulum", gains={"Kp": 2.5, "Kd": -0.983}).unwrap()
     assert beside.period == pytest.approx(1.872, rel=1e-9)
     assert found.value < beside.certificate["energies"]["input_work"]
     assert found.orbit is not None

@@ -92,7 +92,7 @@ def test_the_program_has_the_simulated_orbit(name: str, parameters: dict[str, fl
 
 def test_a_machine_without_a_stop_has_the_slope_of_its_period() -> None:
     # The period at the slope is that of an energy balance and an integration by SciPy.
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         wheel(),
         vary={"slope": (0.05, 0.15)},
         objective=zo.TargetPeriod(target=wheel_motion(slope=0.1)[0]),
@@ -106,7 +106,7 @@ def test_a_machine_without_a_stop_has_the_slope_of_its_period() -> None:
 
 def test_a_prescribed_period_of_a_driven_machine_is_that_of_its_drive() -> None:
     # The frequency alone decides, so the amplitude stays where it is.
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         "clapper",
         vary={"omega": (0.2, 0.4), "A": (4.0, 6.0)},
         objective=zo.TargetPeriod(target=24.0),
@@ -121,7 +121,7 @@ def test_a_prescribed_period_of_a_driven_machine_is_that_of_its_drive() -> None:
 def test_a_bounded_optimum_has_its_closed_form() -> None:
     # v^2 = 2 a s / (1 - e^2) and the loss is a s, so the bound on v decides.
     e, s = 0.5, 0.1
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         "hopper",
         vary={"a": (5.0, 40.0)},
         objective=zo.MinImpactLoss(),
@@ -151,7 +151,7 @@ class TargetLoss(Target):
 @pytest.mark.parametrize("method", [PROGRAM, SHOOTING])
 def test_one_class_is_an_objective_of_both_methods(method: zo.SearchMethod) -> None:
     # The loss is a s, with s = 0.1.
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         "hopper", vary={"a": (5.0, 40.0)}, objective=TargetLoss(target=2.4), method=method
     )
     assert found.method is method
@@ -160,7 +160,7 @@ def test_one_class_is_an_objective_of_both_methods(method: zo.SearchMethod) -> N
 
 def test_the_worst_corner_has_its_closed_form() -> None:
     e = 0.5
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         "hopper",
         vary={"s": (0.05, 0.3)},
         objective=zo.MinImpactLoss(uncertain={"a": (15.0, 25.0)}),
@@ -188,7 +188,7 @@ def test_the_worst_corner_has_its_closed_form() -> None:
 )
 def test_shooting_has_the_same_optimum(name: str, options: dict[str, Any]) -> None:
     program, shooting = (
-        zo.search_event_gains(name, **options, method=method) for method in (PROGRAM, SHOOTING)
+        zo.search_gains(name, **options, method=method) for method in (PROGRAM, SHOOTING)
     )
     assert program.orbit is not None
     assert program.iterations > 0
@@ -219,7 +219,7 @@ def test_shooting_has_the_same_optimum(name: str, options: dict[str, Any]) -> No
 )
 def test_shooting_has_the_same_optimum_of_motors(name: str, options: dict[str, Any]) -> None:
     program, shooting = (
-        zo.search_event_gains(name, **options, method=method) for method in (PROGRAM, SHOOTING)
+        zo.search_gains(name, **options, method=method) for method in (PROGRAM, SHOOTING)
     )
     assert program.orbit is not None
     assert program.orbit.certificate["passed"]
@@ -229,7 +229,7 @@ def test_shooting_has_the_same_optimum_of_motors(name: str, options: dict[str, A
 @pytest.mark.slow
 def test_a_gap_that_touches_zero_at_the_optimum_is_no_impact() -> None:
     # Shooting comes within 1.3e-10 of the bound and refuses its optimum, 2.02765e-6 J.
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         "relay_soft",
         vary={"t1": (5e-4, 1.6e-3), "t2": (1.7e-3, 5e-3)},
         objective=zo.MinImpactLoss(stop="closed"),
@@ -244,7 +244,7 @@ def test_a_gap_that_touches_zero_at_the_optimum_is_no_impact() -> None:
 
 @pytest.mark.slow
 def test_a_bounded_peak_is_kept_between_the_stages() -> None:
-    found = zo.search_event_gains(
+    found = zo.search_gains(
         "motor_pendulum",
         vary={"Kp": (1.0, 5.0), "Kd": (-1.2, -0.3)},
         objective=zo.MinPeak(signal="current"),
@@ -253,7 +253,7 @@ def test_a_bounded_peak_is_kept_between_the_stages() -> None:
     )
     assert found.orbit is not None
     assert found.orbit.certificate["passed"]
-    alone = zo.search_event_gains(
+    alone = zo.search_gains(
         "motor_pendulum",
         vary={"Kp": (1.0, 5.0), "Kd": (-1.2, -0.3)},
         objective=zo.MinPeak(signal="current"),
@@ -339,7 +339,7 @@ def test_a_refused_orbit_is_no_answer() -> None:
 
 def test_an_objective_that_a_program_does_not_have_is_refused() -> None:
     with pytest.raises(zo.InputError, match=r"`method` must be shooting or auto.*contraction"):
-        zo.search_event_gains(
+        zo.search_gains(
             "hopper",
             vary={"a": (5.0, 40.0)},
             objective=zo.MinSpectralRadius(),

@@ -94,7 +94,7 @@ def test_a_walker_with_weak_damping_is_found_by_a_default_search(
     """Its slowest time at the start is 2 pi / damping, thousands of steps."""
     period, speed = period_of(g, damping, spokes)
     problem = walker(g, damping, spokes)
-    orbit = zo.search_event_gains(problem).orbit
+    orbit = zo.search_gains(problem).orbit
     assert orbit is not None
     assert orbit.period == pytest.approx(period, rel=1e-8)
     assert orbit.start_state["v"] == pytest.approx(speed, rel=1e-8)

@@ -87,7 +87,7 @@ def test_the_orbit_of_a_random_machine_is_the_one_that_attracts() -> None:
 
 def test_both_doors_take_every_machine_and_find_the_same_orbit() -> None:
     for name in ("motor_valve", "hopper"):
-        one, other = zo.find_orbit_by_shooting(name).unwrap(), zo.find_event_orbit(name)
+        one, other = zo.find_orbit_by_shooting(name).unwrap(), zo.find_orbit(name).unwrap()
         assert one.sequence == other.sequence
         assert one.period == other.period
         assert one.certificate == {}

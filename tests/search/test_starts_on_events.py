@@ -201,7 +201,7 @@ def test_every_form_of_a_machine_has_its_orbit(name: str) -> None:
     period, n_impacts, multipliers = machine.orbit()
     for form in FORMS.get(name, ("two stops",)):
         section = "impact floor" if form == "switch" else None
-        found = zo.search_event_gains(machine.problem(form), section=section)
+        found = zo.search_gains(machine.problem(form), section=section)
         assert found.orbit is not None, (form, found.detail)
         assert found.orbit.period == pytest.approx(period, rel=1e-10), form
         struck = [one for one in found.orbit.events if one.name.startswith("impact ")]

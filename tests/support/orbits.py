@@ -22,7 +22,7 @@ def event_orbit(name: str, section: str | None = None, **numbers: float) -> zo.O
         section: Where the period starts.
         numbers: Parameters by name.
     """
-    return zo.find_event_orbit(name, parameters=numbers, section=section)
+    return zo.find_orbit(name, parameters=numbers, section=section).unwrap()
 
 
 @cache

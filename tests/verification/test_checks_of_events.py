@@ -47,7 +47,7 @@ View = Callable[[HybridDynamics], HybridDynamics]
 
 @cache
 def _orbit(name: str) -> zo.Orbit:
-    return zo.find_event_orbit(name)
+    return zo.find_orbit(name).unwrap()
 
 
 def _graph(name: str) -> GraphDynamics:
@@ -228,7 +228,7 @@ def test_a_coordinate_beyond_its_limit_fails_alone(name: str) -> None:
 
 def test_a_wrong_second_model_fails_alone(tmp_path: Path) -> None:
     problem = load_problem("motor_pendulum")
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     assert problem.reference is not None
     assert zo.verify(orbit, problem=problem, settings=QUICK).residuals["second_model"] < 1e-12
     text = problem.reference.read_text(encoding="utf-8")
@@ -241,7 +241,7 @@ def test_a_wrong_second_model_fails_alone(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("section", ["release lower", "release upper"])
 def test_a_multiplier_that_is_not_zero_at_the_release_fails_alone(section: str) -> None:
-    orbit = zo.find_event_orbit("clapper", section=section)
+    orbit = zo.find_orbit("clapper", section=section).unwrap()
     wrong: Any = copy.copy(_graph("clapper"))
     right, off = wrong.view, 1e-6 * wrong.own.multiplier
 
@@ -375,7 +375,7 @@ def _dragged() -> zo.Problem:
 
 def test_a_state_that_is_small_at_the_events_has_its_size_between_them() -> None:
     problem = _dragged()
-    orbit = zo.find_event_orbit(problem)
+    orbit = zo.find_orbit(problem).unwrap()
     assert max(abs(event.state["sine"]) for event in orbit.events) < 0.01
     assert zo.verify(orbit, problem=problem).passed
 

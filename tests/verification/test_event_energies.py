@@ -69,7 +69,7 @@ def _bell(share: float) -> zo.Problem:
 
 @cache
 def _orbit() -> zo.Orbit:
-    return zo.find_event_orbit(_bell(1.0))
+    return zo.find_orbit(_bell(1.0)).unwrap()
 
 
 def test_the_input_work_of_an_event_orbit_is_what_losses_and_impacts_take() -> None:
@@ -148,7 +148,7 @@ def _echo(share: float) -> zo.Problem:
 
 
 def test_contact_adds_to_the_energy_of_the_states_that_it_changes() -> None:
-    found = zo.find_event_orbit(_echo(1.0))
+    found = zo.find_orbit(_echo(1.0)).unwrap()
     certificate = zo.verify(found, problem=_echo(1.0))
     assert certificate.passed, certificate.verdict()
     # The error of the tail's work falls with the cube of its first speed.
@@ -216,7 +216,7 @@ def test_an_impact_that_opens_another_stop_at_the_end_of_a_period_loses_its_ener
     coupling: float, floor: float, wall: float, pressure: float, section: str
 ) -> None:
     problem = _pressed(coupling, floor, wall, pressure)
-    orbit = zo.find_event_orbit(problem, section=section)
+    orbit = zo.find_orbit(problem, section=section).unwrap()
     certificate = zo.verify(orbit, problem=problem)
     assert certificate.passed, certificate.verdict()
     mass = np.array([[1.0, -coupling], [-coupling, 1.0]])
@@ -406,7 +406,7 @@ def test_events_of_a_ball_that_is_hardly_thrown_are_integrated_finer(
 ) -> None:
     # The error of a lower tolerance is above 1e-9, so the orbit would be refused.
     parameters = {"restitution": restitution, "A": 9.81 * (1 + above) / 900}
-    orbit = zo.find_event_orbit("vibrating_table", parameters=parameters, section="zeno stop")
+    orbit = zo.find_orbit("vibrating_table", parameters=parameters, section="zeno stop").unwrap()
     assert orbit.certificate["passed"]
     # It is thrown where the table falls with the acceleration of gravity, once per turn.
     thrown = next(event for event in orbit.events if event.name == "release stop")

@@ -346,7 +346,7 @@ def test_times_that_are_not_finite_are_refused(check: Check, orbit: Orbit, bad: 
         with pytest.raises(InputError, match=r"`(time|zeno_time|period)` must be a finite number"):
             check(wrong)
     machine = load_problem("hopper")
-    events = zo.find_event_orbit(machine)
+    events = zo.find_orbit(machine).unwrap()
     moved = (replace(events.events[0], time=bad), *events.events[1:])
     with pytest.raises(InputError, match="`time` must be a finite number"):
         verify(replace(events, events=moved), machine, settings=QUICK)

@@ -58,10 +58,8 @@ from .models import reduced_model_errors as reduced_model_errors
 from .models import work_precision as work_precision
 from .models import zeno_condition as zeno_condition
 from .orbit_search import Verified as Verified
-from .former import find_event_orbit as find_event_orbit
 from .orbit_search import find_orbit_by_shooting as find_orbit_by_shooting
 from .orbit_search import find_orbit as find_orbit
-from .former import search_event_gains as search_event_gains
 from .orbit_search import search_gains as search_gains
 from .orbit_search import start_values as start_values
 from .pages import report_page as report_page
