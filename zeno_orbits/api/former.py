@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from zeno_orbits.api.inputs import Named, Numbers, front_door, whole
 from zeno_orbits.api.orbit_search import find_orbit, search_gains
-from zeno_orbits.errors import InputError
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.work import ExecutionPlan, Progress, silent
 
@@ -120,8 +119,6 @@ def search_event_gains(
     """
     from dataclasses import replace
 
-    if candidates < 1:
-        raise InputError(f"Argument `candidates` must be at least 1, but it is {candidates}.")
     own = replace(
         _settings(settings),
         n_starts=n_starts,

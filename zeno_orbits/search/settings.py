@@ -81,6 +81,13 @@ class SearchSettings(Checked):
     candidates: int = 1
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        """Reject values of a wrong kind, and a search for no orbit."""
+        Checked.__post_init__(self)
+        if self.candidates < 1:
+            wanted = f"must be at least 1, but it is {self.candidates}"
+            raise InputError(f"Argument `candidates` {wanted}.")
+
     def for_accuracy(self, accuracy: float) -> SearchSettings:
         """Return the fastest settings that reach a relative accuracy of the orbit.
 
