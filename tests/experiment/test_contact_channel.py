@@ -129,6 +129,17 @@ def test_periods_near_an_orbit_repeat_its_first_impacts() -> None:
 
 
 @pytest.mark.slow
+def test_periods_near_an_orbit_of_one_stop_repeat_its_first_impacts() -> None:
+    orbit = event_orbit("vibrating_table")
+    run = zo.simulate_periods(orbit, periods=2, settle=1)
+    first = [min(t.start for t in run.touches if t.start > late) for late in (0.0, orbit.period)]
+    struck = orbit.impacts[0].time
+    # A stiff stop is struck a little later.
+    assert first == pytest.approx([struck, struck + orbit.period], abs=1e-7)
+    assert {touch.stop for touch in run.touches} == {"stop"}
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("stiffness", "truth"), [(1e5, 0.257), (1e6, 0.286), (1e7, 0.294)])
 def test_the_restitution_off_a_compliant_stop_has_its_whole_error(
     stiffness: float, truth: float

@@ -281,6 +281,7 @@ def test_orbits_with_elastic_impacts_have_the_multipliers_of_the_saltation_matri
         OSCILLATOR,
         parameters={"omega": omega, "c": c, "d": d},
         start={"x": d, "v": velocity, "cosine": math.cos(angle), "sine": math.sin(angle)},
+        allow_unstable=True,
     ).unwrap()
     assert orbit.sequence == ("impact wall",)
     assert orbit.period == pytest.approx(machine.period, rel=1e-12)

@@ -682,6 +682,7 @@ def test_orbits_of_events_that_are_unstable_open_or_of_another_problem_are_refus
             "sine": math.sin(0.1 * math.pi + o.phase),
         },
         until=5.5 * o.half,
+        allow_unstable=True,
     ).unwrap()
     hopper = event_orbit("hopper")
     faster = {**hopper.start_state, "speed": 1.1 * hopper.start_state["speed"]}

@@ -186,10 +186,6 @@ def _require_zeno_points(orbit: Orbit, problem: Problem) -> None:
         InputError: If a restitution is 1 there.
     """
     values = orbit.values(problem)
-    if orbit.has_phases:
-        if not orbit.shape.without_contact:
-            require_zeno_points(problem.first_system(values).restitution)
-        return
     if orbit.kind == ZENO_ORBIT:
         graph = problem.graph_dynamics(values)
         for name, view in zip(graph.stop_names, graph.open_views, strict=False):
@@ -307,7 +303,7 @@ def as_orbit(orbit: Orbit | str | Path, problem: Named | None = None) -> Orbit:
         InputError: If the orbit passes further modes. The message names the cause.
     """
     found = any_orbit(orbit)
-    if found.has_phases:
+    if found.phases_as is not None:
         return found
     try:
         reason = problem_to_check(found, problem).modes_reason

@@ -592,11 +592,10 @@ def simulate_periods(
     settings: RigSettings | None = None,
     on_progress: Progress = silent,
 ) -> RigRun:
-    """Return periods of the simulated test rig near an orbit of events, after its transient.
+    """Return periods of the simulated test rig near an orbit, after its transient.
 
     Args:
-        orbit: The orbit of a machine with several stops or switches, or its file. The rig has its
-            gains and parameters.
+        orbit: The orbit, or its file. The rig has its gains and parameters.
         problem: The orbit's problem. The default is the bundled problem of its name.
         rig: The parts of the machine. The default is the rig that the problem declares.
         periods: Number of periods to return.
@@ -609,16 +608,12 @@ def simulate_periods(
         The run, with times since the start of the first period.
 
     Raises:
-        InputError: If the orbit has one stop and no switch, the rig does not fit the problem, or
-            `periods` is below 1.
+        InputError: If the rig does not fit the problem, or `periods` is below 1.
         SimulationError: If the simulation of the machine cannot be continued.
     """
     from zeno_orbits.experiment import periods_near
 
     found = any_orbit(orbit)
-    if found.has_phases:
-        wanted = "must be of a machine with several stops or switches: use `simulate_experiment`"
-        raise InputError(f"Argument `orbit` {wanted}.")
     return periods_near(
         found,
         problem_of(found, problem),

@@ -109,7 +109,7 @@ def report_subject(
 
     found = any_orbit(orbit)
     known = problem_of(found, problem)
-    if not found.has_phases and trade is not None:
+    if trade is not None and found.phases_as is None:
         raise InputError("Argument `trade` needs a machine with one stop, no switch and no kink.")
     study = _trade_of(found, trade)
     pushed = _pushes_of(found, known, pushes)

@@ -184,7 +184,7 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plo
     orbit, problem = _orbit_and_problem(options, progress)
     dynamics = orbit.machine(problem)
     one = orbit_motion(orbit, problem, dynamics)
-    if orbit.has_phases and not one.zeno_points:
+    if orbit.phases_as is not None and not one.zeno_points:
         message = "must reach a Zeno point, but its period contains only other impacts"
         raise InputError(f"Argument `orbit` {message}. See `verify`.")
 

@@ -143,7 +143,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
     cycles = options.cycles or _CYCLES
     settings = api.rig_sampling(rig, options.rate, cycles * orbit.period, noise=options.noise)
     require_output_of(options, "noise")
-    if not orbit.has_phases:
+    if orbit.phases_as is None:
         return _near_event_orbit(options, orbit, problem, rig, settings)
     with report.ProgressLine(options.interrupts.check) as progress:
         settled = api.simulate_experiment(
