@@ -31,6 +31,8 @@ from zeno_orbits.simulation import (
 G = 9.81
 LOCATED = 1e-10
 """Of times and states: a hundred times the tolerance of the integrator."""
+RESTED = 2e-12
+"""Of times of rest: rounding of the heights, over twenty impacts."""
 
 LINE = {"x": "m", "dx": "m/s"}
 Formula = Callable[[ca.SX, ca.SX], ca.SX]
@@ -201,7 +203,9 @@ def test_impacts_that_accumulate_on_uncoupled_stops_have_a_limit_each(
     height = ((first + later) / bounces(1.0, G, f)[1]) ** 2
     run = zo.simulate(masses((e, f)), until=9.0, start={"x0": 1.0, "x1": height})
     expected = {"s0": first, "s1": first + later}
-    assert zeno_times(run) == pytest.approx(expected, abs=1e-9)
+    assert zeno_times(run) == pytest.approx(expected, abs=RESTED)
+    errors = [point.limit_error for point in run.zeno_points]
+    assert max(errors) < RESTED
     assert run.arcs[-1].closed == ("s0", "s1")
     assert run.end_state.tolist() == [0.0, 0.0, 0.0, 0.0]
     times = [event.time for event in run.events]
@@ -232,7 +236,7 @@ def test_a_low_flight_keeps_its_height_when_another_mass_strikes(
     # One mass is lower than 1e-12 m, in the midst of a flight, when another strikes.
     run = zo.simulate(masses(e), until=2.0, start=at_rest_after(times, e))
     expected = {f"s{k}": time for k, time in enumerate(times)}
-    assert zeno_times(run) == pytest.approx(expected, abs=1e-9)
+    assert zeno_times(run) == pytest.approx(expected, abs=RESTED)
 
 
 @pytest.mark.slow
@@ -249,7 +253,8 @@ def test_uncoupled_stops_have_their_own_limits_or_are_refused_by_name() -> None:
             refused += 1
             continue
         expected = {f"s{k}": time for k, time in enumerate(times)}
-        assert zeno_times(run) == pytest.approx(expected, abs=1e-8)
+        # Stops that are struck in turn count as struck together within the tolerance of a gap.
+        assert zeno_times(run) == pytest.approx(expected, abs=1e-9)
     assert refused <= 6
 
 

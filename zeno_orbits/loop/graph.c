@@ -265,9 +265,8 @@ static int is_met(const zl_run *run, int stop) {
     return run->graph.met_times[stop] == run->start.time;
 }
 
-/* The rounding of a gap: of its states, and what an event left at the stop. */
-static double rounding_of_gap(Graph *g, int stop, const double *x) {
-    const double left = LEFT_GAP * fabs(g->m.run->graph.met_gaps[stop]);
+/* The rounding of a gap by the rounding of its states. */
+static double rounding_of_states(Graph *g, int stop, const double *x) {
     double moved[ZL_MOST], gap[2], other[2], sum = 0.0;
     long long k;
     gap_of(g, stop, x, gap);
@@ -278,7 +277,13 @@ static double rounding_of_gap(Graph *g, int stop, const double *x) {
         sum += fabs(other[0] - gap[0]);
         moved[k] = x[k];
     }
-    return greater(sum, left);
+    return sum;
+}
+
+/* The rounding of a gap: of its states, and what an event left at the stop. */
+static double rounding_of_gap(Graph *g, int stop, const double *x) {
+    const double left = LEFT_GAP * fabs(g->m.run->graph.met_gaps[stop]);
+    return greater(rounding_of_states(g, stop, x), left);
 }
 
 /* Whether a flight at a state has left its gap of zero. */
@@ -1475,18 +1480,19 @@ static int accumulate(Graph *g, long long stops, const double *lifts) {
     return fits;
 }
 
-/* The time to the Zeno point of each stop at a constant gap acceleration, and the speed after its next
-   impact. The stop that the run looks at is struck now. The longest time is returned. */
+/* The time to the Zeno point of each stop at a constant gap acceleration, the speed after its next
+   impact, and the error of the time by the rounding of the gap. The stop that the run looks at is struck now. The longest time is returned. */
 static double ways_to_rest(Graph *g, long long stops, const double *lifts, const double *x,
-                           double approach, double *ways, double *speeds) {
+                           double approach, double *ways, double *speeds, double *doubts) {
     double longest = 0.0;
     int k;
     for (k = 0; k < g->whole->graph->n_stops; k++) {
         const double e = settings_of(g, k)->restitution;
-        double pair[2], speed, excess = 0.0;
+        double pair[2], speed, excess = 0.0, rounding = 0.0;
         if (!(stops & BIT(k))) continue;
         gap_of(g, k, x, pair);
-        pair[0] = greater(pair[0], 0.0);
+        pair[0] = greater(pair[0] - g->m.run->graph.met_gaps[k], 0.0);
+        if (k != focus_of(g)) rounding = rounding_of_states(g, k, x);
         if (k == focus_of(g)) {
             pair[0] = 0.0;
             pair[1] = approach;
@@ -1500,6 +1506,10 @@ static double ways_to_rest(Graph *g, long long stops, const double *lifts, const
         }
         ways[k] = (pair[1] + speed) / -lifts[k] + 2.0 * speeds[k] / (-lifts[k] * (1.0 - e)) +
                   2.0 * excess / -lifts[k];
+        doubts[k] = 0.0;
+        if (rounding != 0.0)
+            doubts[k] = rounding * (1.0 + e) /
+                        ((1.0 - e) * greater(speed, sqrt(-2.0 * lifts[k] * rounding)));
         longest = greater(longest, ways[k]);
     }
     return longest;
@@ -1546,7 +1556,8 @@ static int limit_of_each(Graph *g, double time, const double *before, double app
     const int n = (int)table->n_stops;
     const size_t bytes = (size_t)g->whole->n_x * sizeof(double);
     double lifts[ZL_STOPS] = {0.0}, means[ZL_STOPS] = {0.0}, rough[ZL_STOPS] = {0.0};
-    double ways[ZL_STOPS] = {0.0}, speeds[ZL_STOPS] = {0.0}, rested[ZL_MOST], longest;
+    double ways[ZL_STOPS] = {0.0}, speeds[ZL_STOPS] = {0.0}, doubts[ZL_STOPS] = {0.0};
+    double rested[ZL_MOST], longest;
     long long stops = 0, closed, found, left;
     Limit limit;
     int k, status;
@@ -1567,7 +1578,7 @@ static int limit_of_each(Graph *g, double time, const double *before, double app
             lifts[k] = number_at(&m, ZL_LIFT, before);
         }
     if (!accumulate(g, stops, lifts)) return GO_ON;
-    longest = ways_to_rest(g, stops, lifts, before, approach, rough, speeds);
+    longest = ways_to_rest(g, stops, lifts, before, approach, rough, speeds, doubts);
     memcpy(rested, before, bytes);
     for (k = 0; k < n; k++)
         if (closed & BIT(k)) {
@@ -1581,7 +1592,7 @@ static int limit_of_each(Graph *g, double time, const double *before, double app
             means[k] = (lifts[k] + number_at(&m, ZL_LIFT, limit.state)) / 2;
         }
     if (!accumulate(g, stops, means)) return GO_ON;
-    longest = ways_to_rest(g, stops, means, before, approach, ways, speeds);
+    longest = ways_to_rest(g, stops, means, before, approach, ways, speeds, doubts);
     held_for(g, closed, rested, longest, limit.state);
     limit.time = time + longest;
     limit.error = 0.0;
@@ -1598,6 +1609,9 @@ static int limit_of_each(Graph *g, double time, const double *before, double app
     status = may_reach(&g->m, &limit);
     if (status != GO_ON) return status;
     *done = 1;
+    for (k = 0; k < n; k++)
+        if (stops & BIT(k))
+            limit.error = greater(limit.error, doubts[k] / (run->settings.time + limit.time));
     for (left = stops; left;) {
         int first = -1;
         double state[ZL_MOST], told[3];

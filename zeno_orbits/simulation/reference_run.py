@@ -674,7 +674,7 @@ class ReferenceRun(StopRun):
         rested = x
         for k in closed:
             rested = self._holding(closed, k).on_stop(rested)
-        longest = max(way for way, _ in rough)
+        longest = max(way for way, _, _ in rough)
         end = self._held(closed, rested, longest)
         means = [
             (lift + self._view(self.rest, k).gap_acceleration(end)) / 2
@@ -683,10 +683,10 @@ class ReferenceRun(StopRun):
         if not self._accumulates(stops, means):
             return None
         ways = self._ways_to_rest(stops, means, x, approach_rate)
-        longest = max(way for way, _ in ways)
+        longest = max(way for way, _, _ in ways)
         end, last = self._held(closed, rested, longest), time + longest
         error = 0.0
-        for (way, _), (first, _) in zip(ways, rough, strict=True):
+        for (way, _, _), (first, _, _) in zip(ways, rough, strict=True):
             error = max(error, abs(way - first) / (self.own.time + last))
         if not (error <= _SPLIT and last < self.follower.until and self._clear_beside(closed, end)):
             return None
@@ -694,6 +694,8 @@ class ReferenceRun(StopRun):
             return None
         self.seen.require_no_switches(last, self.stop_name, end, self.own.time)
         self.seen.forget(*(self.graph.stop_names[k] for k in stops))
+        for _, _, doubt in ways:
+            error = max(error, doubt / (self.own.time + last))
         ordered = sorted(zip(ways, stops, strict=True), key=lambda one: one[0][0])
         self.events += [
             ZenoPoint(
@@ -704,7 +706,7 @@ class ReferenceRun(StopRun):
                 last_speed=speed,
                 stop=self.graph.stop_names[k],
             )
-            for (way, speed), k in ordered
+            for (way, speed, _), k in ordered
         ]
         return self._at_rest(time, rested, last, end, closed)
 
@@ -745,8 +747,11 @@ class ReferenceRun(StopRun):
 
     def _ways_to_rest(
         self, stops: Sequence[int], lifts: Sequence[float], x: Vector, approach_rate: float
-    ) -> list[tuple[float, float]]:
-        """Return the time to the Zeno point of each stop, and the speed after its next impact.
+    ) -> list[tuple[float, float, float]]:
+        """Return the time to the Zeno point of each stop, the next speed, and the time's error.
+
+        The gap of a stop counts from the gap that its last impact left. Its rounding moves the
+        Zeno point by a time of this size over the speed.
 
         Args:
             stops: The stops, one of which is struck now.
@@ -754,18 +759,21 @@ class ReferenceRun(StopRun):
             x: The state, ``(n_x,)``.
             approach_rate: Gap rate of the stop that is struck.
         """
-        ways: list[tuple[float, float]] = []
+        ways: list[tuple[float, float, float]] = []
         for k, lift in zip(stops, lifts, strict=True):
-            view = self._view(self.rest, k)
+            view, e = self._view(self.rest, k), self._view(self.rest, k).restitution
             is_struck = k == self.focus
-            gap = 0.0 if is_struck else max(view.gap(x), 0.0)
+            gap = 0.0 if is_struck else max(view.gap(x) - self._left_gap(k), 0.0)
             rate = approach_rate if is_struck else view.gap_rate(x)
             speed = math.sqrt(rate * rate - 2.0 * lift * gap)
             after = view.speed_after(-speed)
             excess = speeds_excess(view, after)
-            way = (rate + speed) / -lift + 2.0 * after / (-lift * (1.0 - view.restitution))
+            way = (rate + speed) / -lift + 2.0 * after / (-lift * (1.0 - e))
             way += 2.0 * excess / -lift
-            ways.append((way, after))
+            rounding = 0.0 if is_struck else self._rounding_of_states(k, x)
+            least = math.sqrt(-2.0 * lift * rounding)
+            doubt = rounding * (1.0 + e) / ((1.0 - e) * max(speed, least)) if rounding else 0.0
+            ways.append((way, after, doubt))
         return ways
 
     def _held(self, closed: tuple[int, ...], x: Vector, time: float) -> Vector:
@@ -1569,13 +1577,22 @@ class ReferenceRun(StopRun):
 
     def _rounding(self, stop: int, x: Vector) -> float:
         """Return the rounding of a gap: of its states, and what an event left at the stop."""
-        view, last = self._view((), stop), self._last_met(stop)
+        return max(self._rounding_of_states(stop, x), _LEFT * abs(self._left_gap(stop)))
+
+    def _left_gap(self, stop: int) -> float:
+        """Return the gap that the last impact or release left at a stop, zero without one."""
+        last = self._last_met(stop)
+        return 0.0 if last is None else self._view((), stop).gap(last.after)
+
+    def _rounding_of_states(self, stop: int, x: Vector) -> float:
+        """Return the rounding of a gap by the rounding of its states."""
+        view = self._view((), stop)
         gap, total = view.gap(x), 0.0
         for k in range(x.size):
             moved = x.copy()
             moved[k] += ROUNDING * x[k]
             total += abs(view.gap(moved) - gap)
-        return max(total, 0.0 if last is None else _LEFT * abs(view.gap(last.after)))
+        return total
 
     def _closes(self, stop: int, gap: float, rate: float, x: Vector, largest: float) -> bool:
         """Return True if a gap falls through zero at a state, to its rounding.
