@@ -47,7 +47,8 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         name="heel strike",
         guard=2 * stance - swing,
         armed=-stance - p["ahead"],
-        q_after=ca.vertcat(-stance, -2 * stance),
+        # On the guard this is -2 stance, and the guard keeps its value, which a proof needs.
+        q_after=ca.vertcat(-stance, swing - 4 * stance),
         v_after=ca.vertcat(kept * v[0], kept * (1 - kept) * v[0]),
     )
     return hybrid_system(walker, no_drive(walker), switches=(strike,))

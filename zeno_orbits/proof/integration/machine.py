@@ -62,7 +62,9 @@ class BallMachine:
             if graph.has_current_layers:
                 reason = "each impact has a layer of a corrected drive"
             if any(ca.SX(one.guard).is_constant() for one in graph.switches):
-                reason = "an event of a stop sets states anew, or a guard is constant"
+                reason = "a guard is constant"
+            if any(graph.causes):
+                reason = "an event of a stop sets states anew, and no lemma covers that"
             if graph.n_frictions:
                 reason = "a part has dry friction, and no lemma covers a part that sticks"
             if reason:
