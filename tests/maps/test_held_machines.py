@@ -171,6 +171,19 @@ def test_rounding_of_the_orbit_does_not_set_the_scale_of_the_machine() -> None:
     assert len(zo.simulate(machine, start=first, until=100.0).impacts) == 27
 
 
+def test_a_held_input_that_is_zero_leaves_the_multipliers_exact() -> None:
+    # The held pull is a coefficient times the errors of the speed, and no unit of its error.
+    start = {"speed": 0.9131562646434344, "cosine": 0.25365451795650656, "sine": 0.9672948803339385}
+    parameters = {"A": 0.015}
+    orbit = zo.find_orbit_by_shooting("table_juggler", parameters=parameters, start=start)
+    found = zo.design_feedback(orbit.unwrap(), ["pull"], weight=0.0)
+    machine = found.machine()
+    stability = zo.floquet_multipliers(zo.find_orbit_by_shooting(machine).unwrap(), problem=machine)
+    assert stability.stable
+    assert stability.error < 1e-6
+    assert stability.values[0] == pytest.approx(found.multipliers[0], rel=1e-7)
+
+
 @pytest.mark.parametrize(
     ("changed", "told"),
     [

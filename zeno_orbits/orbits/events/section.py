@@ -59,6 +59,8 @@ _AT_ONCE = 1e-9
 """Part of the period in which an event belongs to the start."""
 _CORRECTIONS, _ON = 6, 1e-15
 """Corrections of a state onto its constraints, and a deviation that is rounding."""
+_HELD = 1e-6
+"""Size of a held state that is zero, in its scale."""
 _MOST_ITERATIONS = 30
 _EXACT = 3e-14
 """Relative correction below which Newton's method has converged to rounding."""
@@ -546,11 +548,16 @@ def section_of_family(found: EventReturn) -> tuple[EventSection, Vector]:
 def largest_states(arcs: Sequence[Arc], graph: GraphDynamics) -> Vector:
     """Return the size of each state at the ends of arcs, ``(n_x,)``.
 
+    A held state that is zero in an orbit is a coefficient times the error of a measured state.
+
     Args:
         arcs: The arcs.
         graph: The graph of modes, whose scales replace sizes that are zero.
     """
     largest = np.max(np.abs(np.array([arc.end_state for arc in arcs])), axis=0)
+    held = list(graph.compiled.graph.held)
+    usual = graph.own.states(len(largest))[held]
+    largest[held] = np.where(largest[held] > _HELD * usual, largest[held], 0.0)
     return graph.own.not_zero(largest)
 
 
