@@ -351,6 +351,7 @@ class GraphDynamics:
         self.switch_names = graph.switch_names
         self.n_declared = len(graph.switches)
         self.causes = graph.causes
+        self.held: tuple[int, ...] = tuple(graph.held)
         self.sides_of_friction = compiled.sides_of_friction
         self._views: dict[tuple[GraphMode, int], HybridDynamics] = {}
         self._flows: dict[tuple[GraphMode, int, bool], CompiledFlow] = {}

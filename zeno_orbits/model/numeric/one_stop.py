@@ -32,6 +32,7 @@ class OneStop(GraphDynamics):
         self.switch_names = ()
         self.n_declared = 0
         self.causes = ()
+        self.held: tuple[int, ...] = ()
         self.sides_of_friction = ()
         self.open_mode = (), ()
         self.p = np.zeros(0) if dynamics.formulas is None else dynamics.formulas.values

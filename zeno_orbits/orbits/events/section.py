@@ -555,7 +555,7 @@ def largest_states(arcs: Sequence[Arc], graph: GraphDynamics) -> Vector:
         graph: The graph of modes, whose scales replace sizes that are zero.
     """
     largest = np.max(np.abs(np.array([arc.end_state for arc in arcs])), axis=0)
-    held = list(graph.compiled.graph.held)
+    held = list(graph.held)
     usual = graph.own.states(len(largest))[held]
     largest[held] = np.where(largest[held] > _HELD * usual, largest[held], 0.0)
     return graph.own.not_zero(largest)
