@@ -25,7 +25,7 @@ REDUCED = {
     "families": ("--quick", "--workers", "1"),
     "fidelity": ("--least", "1e-3", "--runs", "1"),
     "friction_machines": ("--machines", "2", "--until", "4"),
-    "held_orbits": ("--machines", "table_juggler", "--periods", "40", "--others", "20"),
+    "held_orbits": ("--machines", "table_juggler", "--periods", "150", "--others", "20"),
     "held_sensors": ("--rows", "window 40 ms", "--periods", "4", "--seeds", "1"),
     "identification_intervals": ("--seeds", "2"),
     "loop": ("--runs", "1", "--no-reference"),
