@@ -141,7 +141,7 @@ def from_orbit(search: SearchProblem, values: ParameterValues, found: EventRetur
         on_progress=search.on_progress,
     )
     try:
-        best = gains.best(found, values)
+        best = _shortest(gains, gains.best(found, values))
     except SimulationError as error:
         return StartOutcome(status=SearchStatus.NOT_SOLVED, detail=f"{error.reason.rstrip('.')}.")
     if not search.free:
@@ -163,6 +163,24 @@ def from_orbit(search: SearchProblem, values: ParameterValues, found: EventRetur
         is_last=best.is_last,
         iterations=outcome.iterations + result.iterations,
     )
+
+
+def _shortest(gains: GainSearch, best: BestOrbit) -> BestOrbit:
+    """Return the end of a search at its shortest period, by which its quantities are measured.
+
+    A search may begin at an orbit of several returns, and end where they are equal.
+
+    Raises:
+        SimulationError: If the shortest period does not close.
+    """
+    if best.result.orbit is None:
+        return best
+    graph = gains.problem.graph_dynamics(best.values)
+    short = shortest_return(graph, best.found, gains.simulation)
+    if len(short.events) == len(best.found.events):
+        return best
+    again = gains.best(short, best.values)
+    return again.told(n_orbits=best.result.n_orbits + again.result.n_orbits)
 
 
 def paths_of(search: SearchProblem, values: ParameterValues) -> OrbitPaths:
@@ -191,10 +209,6 @@ def _compared(search: SearchProblem, best: BestOrbit) -> StartOutcome:
     values, found = best.values, best.found
     problem, settings = search.problem, search.settings
     graph = problem.graph_dynamics(values)
-    try:
-        found = shortest_return(graph, found, settings.simulation)
-    except SimulationError as error:
-        return StartOutcome(status=SearchStatus.NOT_FOLLOWED, detail=f"{error.reason}.")
     orbit = event_orbit_of(problem, values, found)
     if search.shape is not None and not _is_of_shape(orbit, search.shape):
         has = f"`{orbit.phases_as.text}`" if orbit.phases_as else "other events"
