@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -97,14 +99,19 @@ def test_no_alias_is_a_public_name() -> None:
     assert not aliases.ALIASES.keys() & {*zo.__all__}
 
 
+def former(name: str) -> Callable[..., Any]:
+    """Return the object of a former name."""
+    return getattr(zo, name)
+
+
 def test_former_entries_of_a_search_take_their_former_arguments() -> None:
     with pytest.warns(DeprecationWarning, match=r"find_event_orbit is now zeno_orbits\.find_orbit"):
-        find = zo.find_event_orbit
+        find = former("find_event_orbit")
     orbit = find("hopper", until=50.0, settings=zo.SimulationSettings())
     assert orbit.certificate["passed"]
     assert orbit == zo.find_orbit("hopper").unwrap()
     with pytest.warns(DeprecationWarning, match="search_event_gains is now"):
-        search = zo.search_event_gains
+        search = former("search_event_gains")
     found = search("hopper", vary={"a": (15.0, 40.0)}, objective=zo.MinImpactLoss(), n_starts=0)
     # The loss is the work a s of the push.
     assert found.value == pytest.approx(15.0 * 0.1, rel=1e-8)
