@@ -348,6 +348,22 @@ def test_derivatives_through_knots_are_differences_and_shrink_areas() -> None:
         assert found.by_state[1, 1] == pytest.approx(ratio, rel=1e-8)
 
 
+@pytest.mark.parametrize("first", ["linear", "cubic"])
+def test_tables_on_equal_knots_keep_their_own_kind_and_name(first: str) -> None:
+    knots = (np.linspace(-1.1, 3.0, 7), np.linspace(-9.0, 9.0, 5))
+    values = -6.0 - np.add.outer(knots[0], 0.05 * knots[1])
+    for kind in (first, "cubic" if first == "linear" else "linear"):
+        problem = mass(
+            lambda x, v, kind=kind: zo.table((x, v), knots, values, kind, outside="extend")
+        )
+        # The plane is the same to both kinds: knots of the linear table alone are events.
+        assert bool(zo.simulate(problem, until=1.0).switches) == (kind == "linear")
+    for name in ("left", "right"):
+        problem = mass(lambda x, _, name=name: zo.table(x, [1.5, 2.5], [-1, -1], name=name))
+        with pytest.raises(SimulationError, match=f"the table `{name}`"):
+            zo.simulate(problem, until=5.0)
+
+
 # Refusals.
 
 
@@ -396,6 +412,13 @@ def test_a_wrong_table_is_refused_in_one_line(name: str) -> None:
     with pytest.raises((ValueError, InputError), match=words) as error:
         zo.table(X, *given, **options)
     assert "\n" not in str(error.value)
+
+
+def test_masked_samples_are_no_numbers() -> None:
+    masked = np.ma.array([0.0, 1.0, 2.0], mask=[0, 1, 0])
+    for knots, values in (([0, 1, 2], masked), (masked, [0, 1, 2])):
+        with pytest.raises(ValueError, match="are masked"):
+            zo.table(X, knots, values)
 
 
 def test_a_table_of_two_arguments_refuses_what_does_not_fit() -> None:

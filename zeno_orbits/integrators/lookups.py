@@ -95,8 +95,9 @@ class CellTable:
 
     @cached_property
     def digest(self) -> str:
-        """Digest of all numbers."""
+        """Digest of all that the functions of the table and its messages depend on."""
         text = hashlib.sha256(self.numbers.tobytes())
+        text.update(f"{self.name} {self.is_kinked} {self.refuses} {self.turns}".encode())
         return text.hexdigest()[:16]
 
     @cached_property

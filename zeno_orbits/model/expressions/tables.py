@@ -128,6 +128,8 @@ def numbers_in(given: Any, what: str, dimension: int) -> Vector:
     Raises:
         ValueError: If an entry is not a finite number, or the dimension differs.
     """
+    if np.ma.is_masked(given):
+        raise ValueError(f"Argument `{what}` must hold numbers, but samples of it are masked.")
     try:
         plain = given
         if isinstance(given, ca.SX | ca.DM):
