@@ -189,6 +189,18 @@ def test_a_rocking_block_obeys_equations_by_hand(n: int, monkeypatch: pytest.Mon
     assert len(passed) == n - 1 + n % 2
 
 
+@pytest.mark.parametrize(("n", "halves"), [(20_000, 40), (10_000, 7)])
+def test_no_short_cell_of_a_smooth_record_is_passed_unseen(n: int, halves: int) -> None:
+    # Where the input is level, a step that starts on a knot reaches over many cells.
+    times = np.arange(n) * 2.0 / n
+    inputs = 50 * np.cos(halves * math.pi * times)
+    run = zo.simulate(oscillator(zo.record(times, inputs, period=2.0)), until=1.6)
+    assert len(run.switches) == pytest.approx(0.8 * n, abs=1)
+    gaps = np.diff([one.time for one in run.switches])
+    assert np.max(np.abs(gaps - 2.0 / n)) < 1e-11
+    assert run.end_state[:2] == pytest.approx(followed(times, inputs, 1.6), abs=1e-11)
+
+
 @pytest.mark.slow
 def test_a_hundred_thousand_samples_are_followed() -> None:
     times = np.linspace(0.0, 100.0, 100_001)

@@ -56,6 +56,8 @@ class Segment:
         reach: Bounds of the moduli of the first state entries, ``(n,)``. Beyond a bound the watch
             function is called immediately. Otherwise many steps may pass between two calls.
         is_low: Whether the formula of the guard is rounding, so that only its state counts.
+        returns: Whether the guard may rise from its root and fall more than once in a step, as that
+            of a table with short cells.
     """
 
     flow: FlowWithEvent
@@ -68,6 +70,7 @@ class Segment:
     watch: Watch = unwatched
     reach: Vector | None = None
     is_low: bool = False
+    returns: bool = False
 
 
 class Termination(Enum):

@@ -59,6 +59,7 @@ def _fall(
         on_guard=on_guard,
         rounding=leg.rounding,
         is_low=leg.is_low,
+        returns=leg.returns,
     )
 
 

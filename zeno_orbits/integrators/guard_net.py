@@ -77,6 +77,7 @@ def first_of_all(
     on_guard: bool,
     rounding: float,
     is_low: bool = False,
+    returns: bool = False,
 ) -> float | None:
     """Return the offset in a step of the first zero of a guard, also between samples.
 
@@ -89,8 +90,10 @@ def first_of_all(
         on_guard: The step starts on the guard itself: the root there does not count.
         rounding: A guard of this size is zero but for rounding.
         is_low: The formula of a guard that is a state is rounding, and denies nothing.
+        returns: The guard may rise from its root and fall more than once in the step.
     """
-    if not flow.is_bounded or (on_guard and after[0] <= rounding):
+    rises = returns and before[1] * step.size > rounding
+    if not flow.is_bounded or (on_guard and after[0] <= rounding and not rises):
         return fall
     start = Place(0.0, *before, step.before)
     end = Place(step.size, *after, step.after)

@@ -79,6 +79,7 @@ static double fall_beside(Step *step, int k) {
         Net net;
         net.curve = &beside.curve;
         net.is_carried = 0;
+        net.returns = m->others->list[k].kind == ZL_SWITCH;
         net.state_at = state_beside;
         net.bounds = bounds_beside;
         fall = first_of_all(&net, watched->before, watched->after, step->before, step->after, fall,

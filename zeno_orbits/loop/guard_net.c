@@ -7,6 +7,7 @@ typedef struct {
 typedef struct {
     const Curve *curve;
     int is_carried; /* the guard is a state, beside its formula */
+    int returns; /* it may rise from its root and fall more than once, as of a table of short cells */
     /* State and guard inside a step as dense output has them. */
     void (*state_at)(const Curve *curve, double offset, double *state, double *pair);
     /* Bounds of the guard and of two derivatives over a box that holds a piece of the step; not of
@@ -58,7 +59,8 @@ static double first_of_all(const Net *net, const double *before, const double *a
     double size = net->curve->size;
     Place left, right, waiting[64];
     int n = 1, count;
-    if (on_guard && after[0] <= rounding) return fall;
+    if (on_guard && after[0] <= rounding && !(net->returns && before[1] * size > rounding))
+        return fall;
     left.offset = 0.0;
     memcpy(left.pair, before, sizeof left.pair);
     memcpy(left.state, state_before, sizeof left.state);

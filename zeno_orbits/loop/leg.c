@@ -175,6 +175,7 @@ static double leg_fall(Step *step, const double *before, const double *after) {
         net.curve = &step->curve;
         /* In a hop its formula is rounding. */
         net.is_carried = step->m->problem->carried[leg->mode] && !step->m->run->in_hop;
+        net.returns = 0;
         net.state_at = state_inside;
         net.bounds = bounds_between;
         fall = first_of_all(&net, before, after, step->before, step->after, fall, on_guard,

@@ -1079,6 +1079,7 @@ class ReferenceRun(StopRun):
             on_guard=guard.on_guard,
             rounding=guard.rounding,
             late=late,
+            returns=guard.kind is Kind.SWITCH,
         )
         return follow_steps(iter(steps), leg)
 
