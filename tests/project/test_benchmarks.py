@@ -57,6 +57,7 @@ REDUCED = {
     "start_up": ("--runs", "1"),
     "transients": ("coverage", "--count", "1", "--machines", "ball", "stick slip"),
     "event_verdicts": ("--yes", "3", "--no", "4"),
+    "table_cost": ("--runs", "3"),
     "verdicts": ("--quick", "--workers", "1"),
     "warm_calls": ("--runs", "1", "--size", "20"),
     "warm_orbit": ("--runs", "9"),

@@ -188,8 +188,8 @@ def test_a_kink_on_its_other_side_fails_alone(side: int) -> None:
     wrong: Any = copy.copy(_graph("relay"))
     right = wrong.guards_along
 
-    def guards(states: Vector, mode: GraphMode) -> Any:
-        values, rounding, armed = right(states, mode)
+    def guards(mode: GraphMode, states: Vector) -> Any:
+        values, rounding, armed = right(mode, states)
         _, sides = mode
         return (-values if sides[0] == bool(side) else values), rounding, armed
 
@@ -204,8 +204,8 @@ def test_an_armed_switch_that_is_passed_without_its_event_fails_alone() -> None:
     run = zo.simulate("kneed_walker", start=orbit.start_state, until=orbit.events[0].time)
     early, middle, late = (float(run.state_at(part * run.end_time)[0]) for part in (0.2, 0.5, 0.8))
 
-    def guards(states: Vector, mode: GraphMode) -> Any:
-        _, rounding, armed = right(states, mode)
+    def guards(mode: GraphMode, states: Vector) -> Any:
+        _, rounding, armed = right(mode, states)
         # Another guard, which falls through zero in the middle of the first flight.
         falling = (middle - states[:, :1]) * np.sign(late - early)
         return falling, rounding, np.ones_like(armed)

@@ -178,6 +178,7 @@ class _Branch:
         self, on_estimate: Callable[[BranchEstimate], object] | None
     ) -> tuple[list[ProofRange], tuple[BranchEnd, BranchEnd]]:
         """Return the connected ranges around the orbit, and why they end."""
+        self.on_progress("proving a first range", None)
         start = self._start()
         length, seconds = self._first_ranges(start)
         count = (self.box[1] - self.box[0]) / length

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from matplotlib.figure import Figure
 
+from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import MatchedRun
 from zeno_orbits.model import GraphDynamics, HybridDynamics, ParameterValues, Problem
 from zeno_orbits.report.motion import machine_motion
@@ -127,7 +128,13 @@ def _one_stop(material: Material) -> HybridDynamics:
     Raises:
         InputError: If the machine has several stops or switches.
     """
-    return material.problem.dynamics(material.values)
+    try:
+        return material.problem.dynamics(material.values)
+    except InputError as error:
+        raise InputError(
+            f"This figure needs a machine with one stop, no switch and no kink, unlike "
+            f"`{material.problem.name}`."
+        ) from error
 
 
 def _files(figures: Mapping[str, Figure]) -> dict[str, bytes]:
