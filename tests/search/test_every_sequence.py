@@ -235,7 +235,6 @@ def test_a_gap_that_touches_zero_at_the_optimum_is_no_impact() -> None:
         objective=zo.MinImpactLoss(stop="closed"),
         bounds=[zo.Bound(name="closed.impact_speed", lower=0.05)],
         method=PROGRAM,
-        settings=zo.SearchSettings(n_starts=0),
     )
     assert found.orbit is not None
     assert found.orbit.certificate["passed"]

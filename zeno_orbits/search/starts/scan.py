@@ -90,6 +90,9 @@ def start_order(search: SearchProblem) -> tuple[int, ...]:
     while others:
         away = [min(float(np.linalg.norm(unit[k] - unit[j])) for j in order) for k in others]
         order.append(others.pop(int(np.argmax(away))))
+    if search.objective.is_sampled and ranks[0].group == 0:
+        # Distances between points say little about the optimum: the given values count first.
+        order = [0, *(k for k in order if k != 0)]
     return (*order, *(k for k in by_rank if k not in order))
 
 
