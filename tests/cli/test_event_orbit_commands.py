@@ -175,6 +175,7 @@ def test_a_section_of_a_machine_with_one_stop_is_chosen() -> None:
     assert ask("verify", "table.json").code == YES
 
 
+@pytest.mark.slow
 def test_search_uses_the_method_that_is_asked_for() -> None:
     words = ("search", "hopper", "--vary", "a=5:40", "--objective", "impacts")
     words = (*words, "--bounds", "stop.impact_speed=2:", "--json")
@@ -316,6 +317,7 @@ def test_search_refuses_objectives_and_bounds_without_a_meaning(
     assert_refused(ask("search", "hopper", "--vary", "a=5:40", *words), option, reason)
 
 
+@pytest.mark.slow
 def test_search_of_one_stop_accepts_objectives_and_bounds_about_impacts() -> None:
     words = ("search", "vibrating_table", "--vary", "A=0.012:0.017")
     answer = ask(*words, "--objective", "impacts", "--bounds", "stop.impact_time=0.13:")
