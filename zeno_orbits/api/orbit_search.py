@@ -283,8 +283,13 @@ class Verified:
         if not certificate.passed:
             objection = certificate.verdict()
         elif not (certificate.stable or self.allow_unstable):
-            radius = certificate.spectral_radius
-            objection = f"The orbit is not stable: its spectral radius is {radius:.4g}."
+            radius, error = certificate.spectral_radius, certificate.multiplier_error
+            objection = (
+                f"The orbit is not stable: its spectral radius is {radius:.4g}."
+                if certificate.unstable
+                else f"The stability of the orbit is unknown: its spectral radius is {radius:.4g} "
+                f"+- {error:.1g}."
+            )
         elif self.accuracy is not None and not certificate.orbit_error <= self.accuracy:
             objection = f"Its numbers are certain to {certificate.orbit_error:.1e} only."
         return Verdict(objection=objection, certificate=certificate)
