@@ -192,6 +192,7 @@ def test_folds_of_impact_pairs_lie_on_their_curve_in_two_parameters() -> None:
             "sine": math.sin(phase),
         },
         until=200.0,
+        allow_unstable=True,
     ).unwrap()
     box = (length - 0.05, fold(0.5) + 0.05)
     second = SecondParameter(name="restitution", box=(0.48, 0.51), kinds=tuple(SpecialPointKind))
