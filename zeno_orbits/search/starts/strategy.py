@@ -273,7 +273,22 @@ def _from_known(search: SearchProblem, start: SearchStart, near: Orbit) -> Start
         return StartOutcome(status=SearchStatus.NO_GUESS, detail=detail)
     if own == start.values:
         return from_orbit(search, own, found)
-    return _along(search, start, _followed(search, found, own, start.values), "the known orbit")
+    path = _followed(search, found, own, start.values)
+    outcome = _along(search, start, path, "the known orbit")
+    if outcome.status is not SearchStatus.NO_GUESS:
+        return outcome
+    try:
+        # The events may change on the way.
+        found = return_near(
+            search.problem,
+            start.values,
+            near,
+            simulation=search.settings.simulation,
+            on_progress=search.on_progress,
+        )
+    except SimulationError:
+        return outcome
+    return from_orbit(search, start.values, found)
 
 
 def _followed(
