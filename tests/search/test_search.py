@@ -277,7 +277,8 @@ def test_an_orbit_that_nobody_accepts_is_not_returned(problem: Problem) -> None:
     assert result.status is SearchStatus.NOT_ACCEPTED
     assert result.orbit is None
     assert result.detail == "it is too plain"
-    assert len(seen) == len(result.attempts) == 2
+    # The orbit of the program is refused, and that of shooting.
+    assert len(seen) >= len(result.attempts) == 2
     assert {attempt.detail for attempt in result.attempts} == {"it is too plain"}
 
 

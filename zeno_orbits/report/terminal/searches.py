@@ -83,7 +83,8 @@ def print_reached(result: SearchResult, wish: str) -> None:
         wish: The objective in words.
     """
     value = result.value if result.mean is None else result.worst
-    reached = f": {value:.8g}" if result.is_measured else ""
+    # No push that was tried loses the orbit: the push has no value.
+    reached = f": {value:.8g}" if result.is_measured and math.isfinite(value) else ""
     print_lines([f"Asked for {wish}{reached}.", f"  {_listed(result.free, 10)}"])
     if result.mean is not None:
         where = _listed(result.worst_at, 6) or "the search's own values"
