@@ -177,7 +177,6 @@ def _add_effort(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_search(options: argparse.Namespace) -> int:
-
     problem = api.known_problem(options.problem)
     gains, parameters = api.split_numbers(problem, options.set)
     numbers = {**gains, **parameters}
@@ -187,6 +186,7 @@ def _run_search(options: argparse.Namespace) -> int:
     free = {**api.free_gains(problem), **options.vary}
     free = {name: box for name, box in free.items() if name in options.vary or name not in gains}
     require_starts_inside(options.set, free)
+    near = None if options.near is None else api.any_orbit(options.near)
     wish = options.objective or read_wish("nearest")
     objective = wish.objective(problem, free)
     if options.uncertain or wish.word == "robustness":
@@ -210,7 +210,7 @@ def _run_search(options: argparse.Namespace) -> int:
             start=options.start or None,
             objective=objective,
             bounds=bounds,
-            near=options.near,
+            near=near,
             section=options.section,
             shape=options.shape,
             method=None if options.method is None else api.search_method(options.method),
@@ -223,7 +223,6 @@ def _run_search(options: argparse.Namespace) -> int:
         )
 
     def finish(result: zo.SearchResult) -> int:
-        near = None if options.near is None else api.any_orbit(options.near)
         values = api.start_values(problem, near=near, gains=gains, parameters=parameters)
         notes = api.search_notes(problem, values, free=free, objective=objective, bounds=bounds)
         return answer(options, problem, result, notes)

@@ -73,23 +73,23 @@ def add_verify(commands: Any) -> None:
 
 
 def _run_verify(options: argparse.Namespace) -> int:
-
     orbit = api.any_orbit(options.orbit)
     _require_few_periods(options, len(orbit.events))
-    of_one_stop = {
-        "--proof": options.proof,
-        "--rigorous": options.rigorous,
-        "--model reference": options.model == "reference",
-    }
-    for option in filter(of_one_stop.get, of_one_stop):
-        require_phases(orbit, option)
+    is_reference = options.model == "reference"
+    for option, is_asked in (
+        ("--proof", options.proof),
+        ("--rigorous", options.rigorous),
+        ("--model reference", is_reference),
+    ):
+        if is_asked:
+            require_phases(orbit, option)
     problem = api.problem_to_check(orbit, options.problem)
     settings = api.verification_settings(
         accuracy=options.accuracy,
         tolerance=options.tolerance,
         engine=options.engine,
         n_periods=options.periods,
-        use_reference=options.model == "reference",
+        use_reference=is_reference,
     )
     proved = proof_of(options, orbit, problem)
     with report.ProgressLine(options.interrupts.check) as progress:

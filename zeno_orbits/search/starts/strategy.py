@@ -261,13 +261,7 @@ def _from_known(search: SearchProblem, start: SearchStart, near: Orbit) -> Start
     """Search from a known orbit, which is followed to the values of the start."""
     own = near.values(search.problem)
     try:
-        found = return_near(
-            search.problem,
-            own,
-            near,
-            simulation=search.settings.simulation,
-            on_progress=search.on_progress,
-        )
+        found = _return_to(search, near, own)
     except SimulationError:
         detail = "From the known orbit no orbit could be followed."
         return StartOutcome(status=SearchStatus.NO_GUESS, detail=detail)
@@ -279,16 +273,21 @@ def _from_known(search: SearchProblem, start: SearchStart, near: Orbit) -> Start
         return outcome
     try:
         # The events may change on the way.
-        found = return_near(
-            search.problem,
-            start.values,
-            near,
-            simulation=search.settings.simulation,
-            on_progress=search.on_progress,
-        )
+        found = _return_to(search, near, start.values)
     except SimulationError:
         return outcome
     return from_orbit(search, start.values, found)
+
+
+def _return_to(search: SearchProblem, near: Orbit, values: ParameterValues) -> EventReturn:
+    """Return a known orbit at values, by the search's integrator."""
+    return return_near(
+        search.problem,
+        values,
+        near,
+        simulation=search.settings.simulation,
+        on_progress=search.on_progress,
+    )
 
 
 def _followed(
