@@ -22,8 +22,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import zeno_orbits as zo
-from tests.laws.test_records import followed, oscillator
-from tests.laws.test_tables import mass, wavy
+from tests.support.tabled import followed, mass, oscillator, wavy
 
 MOST_KNOTS, MOST_POINT, MOST_RECORD = 1.5, 1.5, 5.0
 """Ratio of 10 000 knots to 10, ratio of map points, and time of the record [s]."""

@@ -20,66 +20,15 @@ from scipy.linalg import expm
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.reference.rocking_by_hand import rocking_by_hand
+from tests.support.tabled import FLOW, followed, oscillator, under
 from zeno_orbits.errors import DataFileError, InputError
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.simulation import SimulationSettings, SimulationTask, by_reference
 from zeno_orbits.simulation.compiled.executions import by_loop
 
-C = 0.3
 EXACT = 1e-12
-FLOW = np.array([[0, 1, 0, 0], [-1, -C, 1, 0], [0, 0, 0, 1], [0, 0, 0, 0]], dtype=float)
 EVENT = 1e-8
 """Of the times of events of a rocking block, which bounces until it rests."""
-
-
-def oscillator(record: zo.Record) -> zo.Problem:
-    """Return an oscillator under a record, far from its stop."""
-    turns = record.period is not None
-    clock = zo.Clock.at(ca.SX(record.frequency)) if turns else zo.Time()
-    return under(record.at(clock), clock)
-
-
-def under(force: ca.SX, clock: zo.Clock | zo.Time, name: str = "oscillator") -> zo.Problem:
-    """Return an oscillator under a force over time, far from its stop."""
-    turns = isinstance(clock, zo.Clock)
-
-    def model(p: Any) -> zo.CompletedSystem:
-        x, v = ca.SX.sym("x"), ca.SX.sym("v")
-        one = zo.HybridLagrangian.from_energies(
-            q=x,
-            v=v,
-            kinetic=v**2 / 2,
-            potential=x**2 / 2,
-            passive_force=-C * v,
-            applied_force=force,
-            clock=clock,
-            gap=x + 100,
-        )
-        return zo.hybrid_system(one, zo.no_drive(one), p["restitution"], switches=())
-
-    return zo.Problem(
-        name=name,
-        title="oscillator under a force",
-        source="tests/laws/test_records.py",
-        state_names=("x", "v", *(("cosine", "sine") if turns else ("t",))),
-        state_units=("m", "m/s", *(("1", "1") if turns else ("s",))),
-        parameters=(zo.Quantity.restitution(0.5),),
-        gains=(),
-        model=model,
-        starts=({"cosine": 1.0} if turns else {},),
-        portraits=(("x", "v"),),
-        amplitude_of="x",
-    )
-
-
-def followed(times: np.ndarray, inputs: np.ndarray, until: float) -> np.ndarray:
-    """Return the state at a time from rest, by matrix exponentials."""
-    x, v = 0.0, 0.0
-    marks = np.array([0.0, *(one for one in times if 0.0 < one < until), until])
-    values = np.interp(marks, times, inputs)
-    for dt, u, after in zip(np.diff(marks), values[:-1], values[1:], strict=True):
-        x, v = (expm(FLOW * dt) @ np.array([x, v, u, (after - u) / dt]))[:2]
-    return np.array([x, v])
 
 
 @pytest.mark.parametrize("n", [2, 11, 161])

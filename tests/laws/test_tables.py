@@ -20,6 +20,7 @@ from mpmath import mp, mpf
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.reference.through_cells import through_cells
+from tests.support.tabled import Formula, mass, wavy
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.orbits import event_return
@@ -36,45 +37,6 @@ EXACT = 1e-12
 LOCATED = 1e-10
 """Of times and states: a hundred times the tolerance of the integrator."""
 KINDS = ("linear", "cubic", "monotone")
-Formula = Callable[[ca.SX, ca.SX], ca.SX]
-
-
-def mass(
-    force: Formula, *, restitution: float = 0.5, gap: Formula | None = None, damping: float = 0.0
-) -> zo.Problem:
-    """Return a mass above a stop at zero, under a force of its place and speed."""
-
-    def model(p: Any) -> zo.CompletedSystem:
-        x, v = ca.SX.sym("x"), ca.SX.sym("v")
-        one = zo.HybridLagrangian.from_energies(
-            q=x,
-            v=v,
-            kinetic=v**2 / 2,
-            potential=ca.SX(0),
-            gap=x if gap is None else gap(x, v),
-            passive_force=force(x, v) - damping * v,
-        )
-        return zo.hybrid_system(one, zo.no_drive(one), p["restitution"])
-
-    return zo.Problem(
-        name="mass",
-        title="mass under a table",
-        source="tests/laws/test_tables.py",
-        state_names=("x", "v"),
-        state_units=("m", "m/s"),
-        parameters=(zo.Quantity.restitution(restitution),),
-        gains=(),
-        model=model,
-        starts=({"x": 2.0},),
-        portraits=(("x", "v"),),
-        amplitude_of="x",
-    )
-
-
-def wavy(n: int, low: float = -1.1, high: float = 3.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return knots and the values of a bent spring that pulls to zero."""
-    knots = np.linspace(low, high, n)
-    return knots, -4.0 - 2.0 * knots - np.sin(2.0 * knots)
 
 
 def value_of(formula: ca.SX, *symbols: ca.SX) -> Callable[..., float]:
