@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.api.inputs import Named, whole
@@ -58,12 +59,14 @@ def search_event_gains(
             machine.
         WorkError: If the workers cannot finish.
     """
-    own = _settings(settings, n_starts=n_starts, seed=whole("seed", seed), candidates=candidates)
+    own = replace(
+        _settings(settings), n_starts=n_starts, seed=whole("seed", seed), candidates=candidates
+    )
     return search_gains(problem, settings=own, **asked)
 
 
-def _settings(simulation: SimulationSettings | None, **starts: int) -> SearchSettings:
+def _settings(simulation: SimulationSettings | None) -> SearchSettings:
     from zeno_orbits.search import SearchSettings
     from zeno_orbits.simulation import SimulationSettings
 
-    return SearchSettings(simulation=simulation or SimulationSettings(), **starts)
+    return SearchSettings(simulation=simulation or SimulationSettings())
