@@ -79,10 +79,21 @@ def test_search_keeps_a_bound_and_says_what_is_asked_and_reached() -> None:
 @pytest.mark.slow
 def test_search_for_a_parameter_says_what_stays_and_what_is_reached(orbit_file: Path) -> None:
     free = (*PUBLISHED_GAINS, "--vary", "L1=0.198:0.202", "--objective", "peak=current")
-    answer = ask("search", "motor_pendulum", *free, "--near", orbit_file, "--candidates", "1")
+    near = ("--near", orbit_file, "--candidates", "1")
+    answer = ask("search", "motor_pendulum", *free, *near, "-o", "best.json")
     assert answer.code == YES
     assert "Derived, and held at their initial values: J_rotor, K_torque, K_emf." in answer.out
-    assert "Asked for the least peak of current; measured on a simulation" in answer.out
+    reached = re.search(r"^Asked for the least peak of current: ([\d.]+)\.$", answer.out, re.M)
+    assert reached is not None
+    best = zo.read_orbit("best.json")
+    own: dict[str, Any] = {
+        "gains": best.gains,
+        "parameters": best.parameters,
+        "start": best.start_state,
+    }
+    _, states = zo.simulate("motor_pendulum", until=best.period, **own).sampled(1000)
+    simulated = abs(states[:, list(best.start_state).index("current")]).max()
+    assert float(reached[1]) == pytest.approx(simulated, rel=1e-6)
     assert re.search(r"^Found: .*, L1 = 0\.\d+ m$", answer.out, re.MULTILINE)
     rows = [line for line in answer.out.splitlines() if re.search(r"\S  +\S", line)]
     assert max(map(len, rows), default=0) <= 80
