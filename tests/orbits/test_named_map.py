@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import cmath
+import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -252,3 +255,56 @@ def test_the_map_has_gradients_in_torch(pendulum: zo.Orbit) -> None:
     by_point, by_gains = torch.autograd.functional.jacobian(after, inputs)
     assert by_point.numpy() == pytest.approx(found.jacobian, rel=1e-12, abs=1e-14)
     assert by_gains.numpy() == pytest.approx(found.gain_jacobian, rel=1e-12, abs=1e-14)
+
+
+# Plastic impacts that let go at once, with kinks in the flight up to the one that holds.
+
+
+def _thrown() -> zo.Problem:
+    """Return a mass on a plastic floor that is thrown thrice a period, and a free oscillator."""
+
+    def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        clock = zo.Clock.at(1.0)
+        c = clock.cosine
+        force = -1 + p["a"] * c + 3 * (4 * c**3 - 3 * c) - 0.3 * ca.fmax(0, q[0] - 0.05)
+        mass = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.dot(v, v) / 2,
+            potential=q[1] ** 2,
+            passive_force=ca.vertcat(0, -0.2 * v[1]),
+            applied_force=ca.vertcat(force, c),
+            clock=clock,
+            stops=(zo.Stop(name="floor", gap=q[0], restitution=0.0),),
+        )
+        return zo.hybrid_system(mass, zo.no_drive(mass))
+
+    return zo.Problem(
+        name="thrown",
+        title="thrown mass",
+        source="own",
+        state_names=("q", "y", "v", "w", "cosine", "sine"),
+        state_units=("m", "m", "m/s", "m/s", "1", "1"),
+        parameters=(zo.Quantity.positive("a", 0.5, "N", "force"),),
+        gains=(),
+        model=model,
+        starts=({"q": 0.3, "cosine": 1.0},),
+        portraits=(("q", "v"),),
+        amplitude_of="q",
+    )
+
+
+def test_a_plastic_impact_that_lets_go_is_no_part_of_a_later_zeno_point() -> None:
+    machine = _thrown()
+    orbit = zo.find_orbit(machine, until=100.0).unwrap()
+    text = ", ".join([*orbit.sequence, *orbit.sequence])
+    assert "impact floor, switch kink 1, switch kink 1, zeno floor, release floor" in text
+    assert zo.verify(orbit, problem=machine).passed
+    # Contact forgets the mass. What is left is the oscillator, y'' + 0.2 y' + 2 y.
+    root = complex(-0.1, math.sqrt(2 - 0.01))
+    for section in ("switch kink 1", "zeno floor", "release floor"):
+        spectrum = zo.return_map(orbit, section, problem=machine).multipliers
+        largest = sorted(spectrum, key=abs)[-2:]
+        wanted = cmath.exp(root * orbit.period)
+        assert min(abs(one - wanted) for one in largest) < 1e-6

@@ -118,8 +118,8 @@ def sequence_as_listed(events: Sequence[Event], sequence: Sequence[str]) -> tupl
 def phases_of_events(names: Sequence[str]) -> list[list[int]]:
     """Return the indices of the events of each phase: impacts belong to their Zeno point.
 
-    A kink that acts in the flights up to the Zeno point acts as often as flights are resolved. So
-    it belongs to the Zeno point as well, from the first impact on.
+    A kink that acts in the last two flights up to the Zeno point acts as often as flights are
+    resolved. So it belongs to the Zeno point as well, from the first impact on.
 
     Args:
         names: Names of the events in order.
@@ -142,7 +142,8 @@ def phases_of_events(names: Sequence[str]) -> list[list[int]]:
 def _kinks_of_flights(names: Sequence[str], impact: str) -> set[str]:
     """Return the switches in each of the last two flights between impacts on a stop.
 
-    An event of the clock may fall into the last flight, but not into two.
+    An event of the clock may fall into the last flight, but not into two. A single flight between
+    two plastic impacts is no sequence that accumulates.
 
     Args:
         names: Names of events in order, of which the last is an impact on the stop.
@@ -159,7 +160,7 @@ def _kinks_of_flights(names: Sequence[str], impact: str) -> set[str]:
         if len(flights) > _FLIGHTS:
             break
     complete = flights[:-1]
-    return {name for name in complete[0] if name in complete[-1]} if complete else set()
+    return complete[0] & complete[-1] if len(complete) == _FLIGHTS else set()
 
 
 _FLIGHTS = 2
