@@ -113,6 +113,7 @@ RULES: dict[str, float] = {
     "SWITCH_ZERO": graph_dynamics._ZERO,
     "START_OFF": admission.START_OFF,
     "APART": reference_run._APART,
+    "AT_ONCE": reference_run._AT_ONCE,
     "OF_FLIGHT": reference_run._OF_FLIGHT,
     "CONTINUOUS": reference_run._CONTINUOUS,
     "ONE_SURFACE": reference_run._ONE_SURFACE,

@@ -307,7 +307,7 @@ static int take_guards(Graph *g) {
         int has_left = 0;
         pair_in_leg(&g->m, k, run->leg.y, watched->before);
         value = watched->before[0];
-        watched->largest_change = watched->launched = 0.0;
+        watched->largest_change = watched->launched = watched->height = 0.0;
         watched->outcome = NO_FALL;
         if (other->kind == ZL_RELEASE) {
             watched->rounding = contact * settings->multiplier;
@@ -320,15 +320,18 @@ static int take_guards(Graph *g) {
             watched->rounding = contact * settings->gap;
             lost = lost_by_rounding(gap[1], settings);
             moves = fabs(gap[1]) > contact * settings->gap_rate;
-            if (in_turns && value > lost) {
-                /* Its flight is under way: to launch it again would take its height from it. */
-                watched->rounding = lesser(watched->rounding, lost);
-            } else if (value <= watched->rounding && moves && gap[1] > 0.0 &&
-                       (in_turns || is_met(run, other->index) ||
-                        value <= rounding_of_gap(g, other->index, run->start.state))) {
+            if (value <= watched->rounding && moves && gap[1] > 0.0 &&
+                (in_turns || is_met(run, other->index) ||
+                 value <= rounding_of_gap(g, other->index, run->start.state))) {
                 watched->launched = gap[1];
                 watched->rounding = contact / settings->gap_acceleration;
+                if (in_turns && !is_met(run, other->index))
+                    watched->height =
+                        greater(value - run->graph.met_gaps[other->index], 0.0) / (gap[1] * gap[1]);
                 is_clear = 0;
+            } else if (in_turns && value > lost) {
+                /* Its flight is under way. */
+                watched->rounding = lesser(watched->rounding, lost);
             } else if (value > 0.0 && moves) {
                 has_left = 1;
             }
@@ -480,6 +483,11 @@ static int step_failed_at(Graph *g, int status) {
 /* Whether a guard falls through zero here, to rounding. */
 static int is_zero(const Graph *g, const double *pair, double rounding) {
     return pair[1] < 0.0 && pair[0] <= greater(rounding, -pair[1] * APART * g->m.run->settings.time);
+}
+
+/* The rounding of the times of two events [s]. */
+static double rounding_of_time(const Graph *g) {
+    return AT_ONCE * (g->m.run->settings.time + g->m.run->start.time);
 }
 
 /* Whether a gap falls through zero at a state, to its rounding. Where impacts come in turn,
@@ -736,6 +744,30 @@ static int is_resolved(const Graph *g, const double *gap) {
                               lost_by_rounding(gap[1], &run->settings)));
 }
 
+/* Whether a stop that is not coupled to a struck one is struck at the same time, to its rounding. Each
+   keeps its own time otherwise: to strike it too early would shift all its later impacts. */
+static int closes_now(Graph *g, int stop, const double *gap, const double *x) {
+    return gap[1] < 0.0 &&
+           gap[0] <= greater(rounding_of_gap(g, stop, x), -gap[1] * rounding_of_time(g));
+}
+
+/* The same of the stop that the run looks at. */
+static int main_closes_now(Graph *g, const double *x) {
+    double pair[2];
+    if (is_scaled(g)) {
+        const double *scaled = g->m.run->leg.end + g->whole->n_x;
+        return scaled[0] <= -scaled[1] * rounding_of_time(g) / g->m.run->leg.unit;
+    }
+    evaluate_at(&g->m, ZL_GAP, x, pair);
+    return closes_now(g, focus_of(g), pair, x);
+}
+
+/* Whether two stops are coupled, directly or by closed stops. */
+static int are_tied(Graph *g, long long one, long long other, const double *x) {
+    return require_apart(g, BIT(one) | BIT(other), closed_at_start(g), g->m.run->start.time, x) !=
+           GO_ON;
+}
+
 /* Find the event at the end of an arc, of all events whose guards are zero there: its place in the
    list of the others, or -1 for the stop that the run looks at. A switch that is not armed, or rises,
    is no event. A kink changes no state, and an impact does not depend on it. Impacts on stops that
@@ -759,6 +791,9 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
             *chosen = found;
         } else if (!other) {
             if (!main_is_zero(g, main, x)) continue;
+            if (n && kinds[0] == ZL_IMPACT && main == ZL_IMPACT &&
+                !are_tied(g, indices[0], focus, x) && !main_closes_now(g, x))
+                continue;
         } else {
             const Watched *watched = &run->watched[place];
             if (watched->began_on_guard && other->kind != ZL_IMPACT) continue;
@@ -769,7 +804,12 @@ static int event_at_end(Graph *g, int main, double time, const double *x, long l
             if (!(other->kind == ZL_IMPACT ? closes(g, other->index, pair, x, watched->rounding)
                                            : is_zero(g, pair, watched->rounding)))
                 continue;
-            if (other->kind == ZL_IMPACT && !is_resolved(g, pair)) return in_turn(&g->m, time, x);
+            if (n && kinds[0] == ZL_IMPACT && other->kind == ZL_IMPACT &&
+                !are_tied(g, indices[0], other->index, x)) {
+                if (!closes_now(g, other->index, pair, x)) continue;
+            } else if (other->kind == ZL_IMPACT && !is_resolved(g, pair)) {
+                return in_turn(&g->m, time, x);
+            }
         }
         if (other && !occurs(g, other->kind, other->index, x)) continue;
         if (other && place != found && is_on_surface_of_found(g, other, x)) continue;
@@ -946,14 +986,14 @@ static int decide(Graph *g) {
             double y[ZL_MOST];
             if (g->asks) return GO_ON;
             memcpy(y, run->start.state, sizeof y);
-            y[g->whole->n_x] = 0.0;
+            y[g->whole->n_x] = watched->height;
             y[g->whole->n_x + 1] = 1.0;
             run->main = run->leg;
             run->in_hop = 0;
             graph->in_side = 1;
             run->leg.launch = 1.0;
-            run->leg.height = 0.0;
-            run->leg.on_guard = 1;
+            run->leg.height = watched->height;
+            run->leg.on_guard = watched->height <= watched->rounding;
             run->leg.rounding = watched->rounding;
             run->stage = IN_SIDE;
             if (begin_leg(&side, ZL_FLIGHT, watched->launched, y,
@@ -1465,7 +1505,7 @@ static int strike_again(Graph *g, double time) {
             continue;
         status = require_apart(g, BIT(run->graph.focus) | BIT(k), closed, time, x);
         if (status != GO_ON) return status;
-        if (!is_resolved(g, gap)) return in_turn(&g->m, time, x);
+        if (!closes_now(g, k, gap, x)) continue;
         look(g, closed, k);
         return strike(g, time, x, gap[1]);
     }

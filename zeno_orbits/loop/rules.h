@@ -106,6 +106,7 @@
 
 /* simulation/reference_run.py */
 #define APART 1e-11
+#define AT_ONCE 8.881784197001252e-16
 #define OF_FLIGHT 1e-06
 #define CONTINUOUS 1e-06
 #define ONE_SURFACE 1e-06

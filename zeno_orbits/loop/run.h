@@ -21,7 +21,7 @@ enum { BEFORE, AT_START, IN_LEG, AT_CURVE, OVER, LAUNCHES, ENDED, DECIDES, IN_SI
 typedef struct {
     long long on_guard, began_on_guard, outcome, n_steps, n_polynomials;
     double before[2], after[2], rounding, largest_change;
-    double launched;                /* speed with which another stop is just left, or zero */
+    double launched, height;        /* speed and scaled gap of the flight from a stop just left, or 0 */
     double at, until, end[ZL_MOST]; /* of its end: time, end of the step, state */
 } Watched;
 

@@ -73,6 +73,8 @@ from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit, spee
 
 _APART = 1e-11
 """Times of two events differ at least by this part of the problem's time."""
+_AT_ONCE = ROUNDING
+"""The same of impacts on stops that are not coupled, over the problem's time and the time itself."""
 _OF_FLIGHT = 1e-6
 """Part of a rescaled flight by which its impact and another event differ at least."""
 _CONTINUOUS = 1e-6
@@ -822,7 +824,8 @@ class ReferenceRun(StopRun):
                 k, view.gap(x), rate, x, contact * view.own.gap
             ):
                 self._require_apart(sorted((self.focus, k)), closed, time, x)
-                self._require_resolved(view.gap(x), rate, time, x)
+                if not self._closes_now(k, view.gap(x), rate, time, x):
+                    continue
                 self.look(closed, k)
                 return self.impact(time, x, rate)
         return after
@@ -899,14 +902,15 @@ class ReferenceRun(StopRun):
             view = self.graph.view(mode, k)
             gap, rate, rounding = view.gap(x), view.gap_rate(x), contact * view.own.gap
             lost, moves = _lost(rate, view.own), abs(rate) > contact * view.own.gap_rate
-            if self.seen.come_in_turn and gap > lost:
-                # Its flight is under way: to launch it again would take its height from it.
+            if gap <= rounding and moves and self._is_left(k, rate, start):
+                rounding = contact / view.own.gap_acceleration
+                height = self._height(k, gap, start.time) / (rate * rate)
+                flight, y = view.flight(rate), launched(x, 1.0, height)
+                yield _Guard(Kind.GAP, k, flight, y, rate, height <= rounding, rounding)
+            elif self.seen.come_in_turn and gap > lost:
+                # Its flight is under way.
                 rounding = min(rounding, lost)
                 yield _Guard(Kind.GAP, k, view.free, x, None, gap <= rounding, rounding)
-            elif gap <= rounding and moves and self._is_left(k, rate, start):
-                rounding = contact / view.own.gap_acceleration
-                flight, y = view.flight(rate), launched(x, 1.0)
-                yield _Guard(Kind.GAP, k, flight, y, rate, True, rounding)
             else:
                 on_guard = gap <= rounding and not (gap > 0.0 and moves)
                 yield _Guard(Kind.GAP, k, view.free, x, None, on_guard, rounding)
@@ -929,6 +933,12 @@ class ReferenceRun(StopRun):
         if self.seen.come_in_turn or self._is_met(stop, start.time):
             return True
         return self._view((), stop).gap(start.state) <= self._rounding(stop, start.state)
+
+    def _height(self, stop: int, gap: float, time: float) -> float:
+        """Return the gap since the last event at another stop, if its flight is under way."""
+        if not self.seen.come_in_turn or self._is_met(stop, time):
+            return 0.0
+        return max(gap - self._left_gap(stop), 0.0)
 
     def _earliest(self, guards: Sequence[_Guard], arc: Arc) -> Interruption | None:
         """Return the earliest event of other guards within an arc, if there is one.
@@ -1132,12 +1142,18 @@ class ReferenceRun(StopRun):
                 is_zero = self._closes(guard.index, value, rate, x, guard.rounding)
             else:
                 is_zero = self._is_zero(value, rate, guard.rounding)
-            if is_zero:
-                if guard.kind is Kind.GAP:
-                    self._require_resolved(value, rate, arc.end_time, x)
-                zero.append(event)
+            if not is_zero:
+                continue
+            if self._is_own_time(zero[0], event, closed, x):
+                if not self._closes_now(guard.index, value, rate, start.time, x):
+                    continue
+            elif guard.kind is Kind.GAP:
+                self._require_resolved(value, rate, arc.end_time, x)
+            zero.append(event)
         if found is not None and self._main_is_zero(start, arc, end):
-            zero.append(main)
+            own = self._is_own_time(zero[0], main, closed, x)
+            if not own or self._main_closes_now(start, arc, end):
+                zero.append(main)
         events = [event for event in zero if self._occurs(*event, x, closed)]
         impacts = [index for kind, index in events if kind is Kind.GAP]
         if len(events) < 2:
@@ -1229,6 +1245,44 @@ class ReferenceRun(StopRun):
         return self._closes(
             self.focus, self.dynamics.gap(x), self.dynamics.gap_rate(x), x, self.small_gap
         )
+
+    def _is_own_time(
+        self, fell: tuple[Kind, int], event: tuple[Kind, int], closed: tuple[int, ...], x: Vector
+    ) -> bool:
+        """Return True if two events are impacts on stops that are not coupled.
+
+        Each then keeps its own time: to strike one too early would shift all its later impacts.
+        """
+        if fell[0] is not Kind.GAP or event[0] is not Kind.GAP:
+            return False
+        return self._coupled(sorted((fell[1], event[1])), closed, x) is None
+
+    def _closes_now(self, stop: int, gap: float, rate: float, begin: float, x: Vector) -> bool:
+        """Return True if a gap falls through zero at a state, to its rounding and that of time.
+
+        Args:
+            stop: The stop.
+            gap: Its gap.
+            rate: The rate of the gap.
+            begin: When the arc to the state starts [s].
+            x: The state, ``(n_x,)``.
+        """
+        return rate < 0.0 and gap <= max(
+            self._rounding(stop, x), -rate * self._rounding_of_time(begin)
+        )
+
+    def _main_closes_now(self, start: ArcStart, arc: Arc, end: Vector) -> bool:
+        """Return True if this holds for the stop of the run at the end of an arc."""
+        scaled = _scaled_gap(start, self.interruption, end)
+        if scaled is not None:
+            return scaled[0] <= -scaled[1] * self._rounding_of_time(start.time) / arc.time_unit
+        x = arc.end_state
+        return self._closes_now(
+            self.focus, self.dynamics.gap(x), self.dynamics.gap_rate(x), start.time, x
+        )
+
+    def _rounding_of_time(self, begin: float) -> float:
+        return _AT_ONCE * (self.own.time + begin)
 
     def _occurs(self, kind: Kind, index: int, x: Vector, closed: tuple[int, ...]) -> bool:
         """Return True if the zero of a guard is an event: a declared switch is armed and falls."""
