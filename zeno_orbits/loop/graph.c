@@ -1488,6 +1488,14 @@ static int they_rest(Graph *g, const double *x) {
     return 1;
 }
 
+/* Whether two stops of the last impacts are coupled. Others come to rest each by itself. */
+static int turns_are_tied(Graph *g, double time, const double *x) {
+    const Graphed *graph = &g->m.run->graph;
+    long long k, struck = 0;
+    for (k = 0; k < graph->n_turn; k++) struck |= BIT(graph->turn_stops[k]);
+    return require_apart(g, struck, graph->rest, time, x) != GO_ON;
+}
+
 /* Strike a stop that closes at the time of an impact on another stop, if there is one. */
 static int strike_again(Graph *g, double time) {
     zl_run *run = g->m.run;
@@ -1698,7 +1706,7 @@ static int strike(Graph *g, double time, const double *before, double approach) 
     comes_in_turn = see_impact(&g->m, time) && they_rest(g, before);
     status = limit_of_each(g, time, before, approach, &done);
     if (status != GO_ON || done) return status;
-    if (comes_in_turn) return in_turn(&g->m, time, before);
+    if (comes_in_turn && turns_are_tied(g, time, before)) return in_turn(&g->m, time, before);
     graph->split_before = graph->split_present;
     graph->split_present = 0;
     if (approach < 0.0) {

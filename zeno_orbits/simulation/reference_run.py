@@ -74,7 +74,7 @@ from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit, spee
 _APART = 1e-11
 """Times of two events differ at least by this part of the problem's time."""
 _AT_ONCE = ROUNDING
-"""The same of impacts on stops that are not coupled, over the problem's time and the time itself."""
+"""The same of impacts on stops that are not coupled, over the problem's time and their own time."""
 _OF_FLIGHT = 1e-6
 """Part of a rescaled flight by which its impact and another event differ at least."""
 _CONTINUOUS = 1e-6
@@ -603,7 +603,7 @@ class ReferenceRun(StopRun):
         together = self._limit_of_each(time, state_minus, approach_rate)
         if together is not None:
             return together
-        if in_turn:
+        if in_turn and self._turns_are_coupled(state_minus):
             raise self.seen.in_turn(time, state_minus)
         self.split_by = self.split_by[1], frozenset()
         if approach_rate < 0.0:
@@ -630,6 +630,15 @@ class ReferenceRun(StopRun):
             if after is not None:
                 after = self._set_anew(event, time, after.state, after)
         return after
+
+    def _turns_are_coupled(self, x: Vector) -> bool:
+        """Return True if two stops of the last impacts are coupled.
+
+        Others come to rest each by itself.
+        """
+        names = {name for _, name in self.seen.impacts}
+        struck = [k for k, name in enumerate(self.graph.stop_names) if name in names]
+        return self._coupled(struck, self.rest, x) is not None
 
     def _rest(self, stops: Collection[str], x: Vector) -> bool:
         """Return True if stops have zero gap and gap rate to the accuracy of a flight."""
