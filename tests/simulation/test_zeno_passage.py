@@ -8,7 +8,7 @@ from dataclasses import replace
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.reference import closed_forms
@@ -243,6 +243,8 @@ def test_no_more_flights_are_made_than_allowed() -> None:
     exponent=st.floats(1.5, 3.5),
     digits=st.floats(2.0, 12.0),
 )
+@example(passage_time=1.1875, fading=4.5, exponent=3.25, digits=2.0)
+@example(passage_time=1.05, fading=4.96, exponent=3.42, digits=2.0)
 def test_the_error_estimate_bounds_the_true_error_at_any_tolerance(
     passage_time: float, fading: float, exponent: float, digits: float
 ) -> None:

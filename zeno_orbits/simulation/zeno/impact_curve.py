@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -212,6 +213,11 @@ class CurvePiece:
     changes: tuple[float, ...] = ()
 
     @property
+    def contraction(self) -> float:
+        """Least ratio of successive changes, 1 without two. Rounding hides it at the end."""
+        return min((then / first for first, then in pairwise(self.changes)), default=1.0)
+
+    @property
     def rest(self) -> float:
         """Change that further iterations would still make, at most."""
         last = self.changes[-1]
@@ -305,12 +311,16 @@ def converged(
     raise CurveLostError
 
 
-def correction(curve: ImpactCurve, piece: CurvePiece) -> Vector:
-    """Return the change of the end if the law holds at twice as many points, ``(n_x + 1,)``.
+def correction(curve: ImpactCurve, piece: CurvePiece) -> tuple[Vector, float]:
+    """Return the change of the end if the law holds at twice as many points, and its error.
 
     This is one Newton step from the piece, which has converged at its original nodes. The step
     propagates the defect between the nodes to the end. The result is the error of the piece to
-    first order.
+    first order. The step is as inaccurate as the derivatives are, by the part of a change that
+    remained in the last iteration. Of the change inside the piece this part may remain at the end.
+
+    Returns:
+        The change, ``(n_x + 1,)``, and its error relative to ``1 + |z|``.
     """
     s = len(piece.slopes)
     nodes = doubled_nodes(s)
@@ -328,7 +338,8 @@ def correction(curve: ImpactCurve, piece: CurvePiece) -> Vector:
         piece.start.basis,
         np.concatenate([np.zeros_like(piece.slopes), defect]),
     )
-    return piece.length * nodes.whole @ change
+    inside = relative(piece.length * nodes.integral @ change, piece.end)
+    return piece.length * nodes.whole @ change, piece.contraction * inside
 
 
 def relative(change: Vector, z: Vector) -> float:

@@ -61,6 +61,9 @@ _HOPELESS_FEW, _HOPELESS_SOME = 3e-3, 3e-5
 _CAUTION = 2.0
 """Claimed over estimated error: near a layer the estimate has been seen a fifth too small."""
 
+_LATER = 3.0
+"""Contraction of later iterations over that of the first two, at most about: 2.5 has been seen."""
+
 _LAYER = 20.0
 """Decay along a piece, as a power of e, above which a layer at its start may be to blame."""
 _FIRST_DECAY, _NEXT_DECAY = 6.0, 5.4
@@ -99,8 +102,8 @@ def pass_through(
         state: State just after the impact, with or without its gap rate.
         speed: Exact gap rate just after the impact.
         tolerance: Largest estimated error of a piece, relative to ``1 + |x|``. The error of the
-            limit is twice the sum over its few pieces. It is at least ``1e-14 / (1 - e)``, due to
-            rounding.
+            limit is twice the sum over its few pieces, with the doubt of each. It is at least
+            ``1e-14 / (1 - e)``, due to rounding.
         most_flights: Largest number of flights.
     """
     curve = ImpactCurve(dynamics, flight, most_flights)
@@ -113,7 +116,7 @@ def pass_through(
         for _ in range(_MOST_PIECES):
             passed = _longest_piece(curve, start_at(curve, z, w), layer, allowed)
             z, layer = passed.step.end, passed.layer
-            error += _CAUTION * passed.error
+            error += _CAUTION * (passed.error + passed.doubt)
             path.append(passed.step)
             w -= passed.step.piece.length
             if w == 0.0:
@@ -210,10 +213,11 @@ class CurveStep:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Passed:
-    """A converged piece, its estimated relative error, and the layer after it."""
+    """A converged piece, its estimated relative error with its doubt, and the layer after it."""
 
     step: CurveStep
     error: float
+    doubt: float
     layer: _Layer
 
 
@@ -299,10 +303,11 @@ def _shaped(curve: ImpactCurve, start: CurveEnd, length: float) -> CurvePiece:
 
 
 def _passed(curve: ImpactCurve, piece: CurvePiece, layer: _Layer) -> _Passed:
-    missed = correction(curve, piece)
+    missed, doubt = correction(curve, piece)
     return _Passed(
         step=CurveStep(curve=curve, piece=piece, missed=missed),
         error=relative(missed, piece.end) + piece.rest,
+        doubt=_LATER * doubt,
         layer=layer.behind(piece.start, piece.length),
     )
 
