@@ -7,11 +7,14 @@ off. So the gap acceleration is that force at the time, in closed form, in whate
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 
 import casadi as ca
 import pytest
 
-from tests.support.mechanisms import slider
+import zeno_orbits as zo
+from tests.support.mechanisms import machine_of, slider
 from zeno_orbits.integrators import Engine, Radau, RungeKutta
 from zeno_orbits.simulation import Mode, SimulationSettings, simulate
 
@@ -67,3 +70,26 @@ def test_a_multiplier_that_only_just_reaches_zero_lets_go_for_a_moment(
 def test_a_multiplier_that_ends_above_zero_does_not_let_go() -> None:
     found = simulate(slider(lambda x: -1e-9 - (x - 1) ** 2), (0.0, 0.0, 1.0, 0.0), until=2.0)
     assert not found.events
+
+
+@pytest.mark.parametrize("off", [-1e-17, 0.0, 1e-17, 1e-13, 1e-9])
+@pytest.mark.parametrize("speed", [0.0, 1e-17, 1e-3, 2.0])
+def test_a_start_that_is_off_its_stop_by_rounding_is_one_on_it(off: float, speed: float) -> None:
+    def model(_parameters: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        floor = zo.Stop(name="floor", gap=q, restitution=0.5)
+        ball = zo.HybridLagrangian.from_energies(
+            q=q, v=v, kinetic=v**2 / 2, potential=10 * q, stops=(floor,)
+        )
+        return zo.hybrid_system(ball, zo.no_drive(ball))
+
+    ball = replace(machine_of(model, {"x": "m", "v": "m/s"}), starts=({"x": off, "v": speed},))
+    run = zo.simulate(ball, until=1.0)
+    assert run.arcs[-1].mode is Mode.LOCKED
+    if max(off, speed) < 1e-15:
+        assert not run.events
+        return
+    lands = math.sqrt(speed**2 + 2 * 10 * max(off, 0.0))
+    # With e = 1/2 the flights after the first take twice the time of its fall from the top.
+    rests = (speed + lands) / 10 + 2 * lands / 10
+    assert [event.time for event in run.zeno_points] == pytest.approx([rests], abs=1e-12)

@@ -8,9 +8,11 @@ velocity is :math:`s / T`, but at most :math:`\max(|v|, |a| T, \sqrt{|a| s})`, s
 far faster than the mechanism. If it is far slower, :math:`T` is ten times the time of the slowest
 oscillation. :math:`T` is at most a hundred times the longest time in which an open gap of an
 initial state closes, :math:`\sqrt{h / |\ddot h|}`, as a clock or a spring may be far slower than a
-mass on its way to a stop. The scale of the gap is its change over such a displacement. Scales far
-from 1 are rounded to powers of a thousand, and all other scales to 1, so a mechanism of usual size
-has the scale 1 in SI units.
+mass on its way to a stop. A start just off a stop counts as one on it: coordinates and velocities
+below 1e-15 are rounding, and a coordinate below a millionth of :math:`|v|^2 / |a|` counts as this
+way. The scale of the gap is its change over such a displacement. Scales far from 1 are rounded to
+powers of a thousand, and all other scales to 1, so a mechanism of usual size has the scale 1 in SI
+units.
 """
 
 from __future__ import annotations
@@ -38,6 +40,8 @@ _EPSILON, _UNSURE, _SWEEPS = 2.0**-52, 1e-3, 4
 """Rounding. Relative error above which an eigenvalue is rounding. Sweeps that balance a matrix."""
 _ROUNDED = 1e-6
 """Part of the way of a start within its own time below which its coordinates are rounding."""
+_LEAST = 1e-15
+"""Coordinates and velocities of a start below this are rounding of numbers of usual size."""
 _BAND, _WIDE = 3, 5
 """Decades around 1 within which a scale is rounded to 1, for accelerations and forces the second
 value."""
@@ -182,7 +186,7 @@ def own_scale(
     with np.errstate(all="ignore"):
         # A value that overflows gets the scale 1.
         reach = reach_of(dynamics, starts, units, clock, branch, stops)
-        states = _in_phases(np.array(starts, dtype=np.float64), clock, branch is not None)
+        states = _in_phases(_exact(starts, dynamics.n_q), clock, branch is not None)
         inertia = max(abs(dynamics.normal_inertia(x)) for x in states)
         gap, time, pace = (np.float64(one) for one in (reach.gap, reach.time, reach.pace))
         return CharacteristicScales(
@@ -222,6 +226,14 @@ def _further_sizes(
     return sizes
 
 
+def _exact(starts: Sequence[Sequence[float]], n_q: int) -> Vector:
+    """Return states with zero for coordinates and velocities that are rounding, ``(n, n_x)``."""
+    states = np.array(starts, dtype=np.float64)
+    mechanism = states[:, : 2 * n_q]
+    mechanism[np.abs(mechanism) < _LEAST] = 0.0
+    return states
+
+
 def _in_phases(states: Vector, clock: Sequence[int], has_kinks: bool) -> Vector:
     """Return states with their clock turned to several phases, if there is one."""
     if clock:
@@ -251,13 +263,16 @@ def reach_of(
         branch: As for `own_scale`.
         stops: As for `own_scale`.
     """
-    states = _in_phases(np.array(starts, dtype=np.float64), clock, branch is not None)
     n_q = dynamics.n_q
+    states = _in_phases(_exact(starts, n_q), clock, branch is not None)
     flows = [dynamics.free if branch is None else branch(x).free for x in states]
     rates = np.array([flow.rate(x) for flow, x in zip(flows, states, strict=True)])
     places = _alike(np.max(np.abs(states[:, :n_q]), axis=0), units)
     velocities = _alike(np.max(np.abs(rates[:, :n_q]), axis=0), units, fixed=0.0)
     accelerations = _alike(np.max(np.abs(rates[:, n_q : 2 * n_q]), axis=0), units, fixed=0.0)
+    # A start just off a stop, with a speed, reaches as far as one on it.
+    ways = np.divide(velocities**2, accelerations, out=np.zeros(n_q), where=accelerations > 0.0)
+    places = np.where((places > 0.0) & (places <= _ROUNDED * ways), ways, places)
     if clock:
         turn, own = 1 / np.linalg.norm(rates[0, list(clock)]), _oscillation(dynamics, states[0])
         time = min(turn, np.float64(_SLOWER * own)) if own else turn
