@@ -40,6 +40,9 @@ _ACCUMULATED = 1e-4
 """Time between switches, shorter than the one before, that belongs to an accumulation."""
 _CORNER = 5
 """Impacts within 1e-8 s that end a run: with one stop, the limit is found before them."""
+_MOST_IN_CORNER, _SOON, _CLEAR = 1000, 1e-7, 1e-5
+"""Impacts in a corner that are followed, the time within which forces change no gap rate by more
+than a tenth of the last value, and this value, with which a stop is left for good."""
 _NODES = 8
 """Largest number of impacts from which a limit is extrapolated."""
 _GRAZE = 1e-8
@@ -319,6 +322,31 @@ class _Loop:
             max_step=self.m.scale,
             first_step=min(first, abs(end - t), self.m.scale),
         )
+
+
+def corner_impacts(gaps: Array, rates: Array, matrix: Array, e: Array) -> tuple[list[Any], Array]:
+    """Return the impacts in a corner, each with its time and stop, and the last gap rates.
+
+    The impacts come within so short a time that no force changes a velocity: gaps are linear. They
+    end once no stop is approached, or after a thousand impacts.
+    """
+    h, w, time = gaps.copy(), rates.copy(), 0.0
+    found: list[Any] = []
+    while np.any(w < 0.0) and len(found) < _MOST_IN_CORNER:
+        ways = [-one / rate if rate < 0.0 else math.inf for one, rate in zip(h, w, strict=True)]
+        k = int(np.argmin(ways))
+        h, time = h + w * ways[k], time + ways[k]
+        h[k] = 0.0
+        w = w - (1.0 + e[k]) * w[k] * matrix[:, k] / matrix[k, k]
+        found.append((time, k))
+    return found, w
+
+
+def parts(gaps: Array, rates: Array, matrix: Array, e: Array) -> bool:
+    """Test whether impacts in a corner end with all stops left at a clear speed, soon enough."""
+    found, last = corner_impacts(gaps, rates, matrix, e)
+    soon = not found or found[-1][0] < _SOON
+    return bool(np.min(last) > _CLEAR and soon)
 
 
 def simulated(
@@ -735,6 +763,8 @@ class _Walk(_Loop):
         """Refuse impacts that accumulate on two stops, at slow speeds or in a corner."""
         impacts = [event for event in self.run.events if event.kind == "impact"][-_CORNER:]
         if len(impacts) == _CORNER and self.t - impacts[0].time < 1e-8:
+            if not self.closed and parts(*self.corner(impacts[0].time)):
+                raise Unsure("impacts in a corner that part again", self.t)
             raise Refused("SimultaneousEventsError", self.t, "impacts in a corner")
         if w > 1e-4:
             return
@@ -744,6 +774,19 @@ class _Walk(_Loop):
                 raise Refused("SimultaneousEventsError", self.t, "impacts on two stops")
             if s != k and s in closed and s not in self.closed:
                 raise Refused("SimultaneousEventsError", self.t, "impacts lift a closed stop")
+
+    def corner(self, since: float) -> tuple[Array, Array, Array, Array]:
+        """Return gaps, rates, coupling and restitutions of the stops struck since a time."""
+        names = {event.name for event in self.run.events if event.time >= since}
+        struck = [k for k, contact in enumerate(self.m.contacts) if contact.name in names]
+        q = self.split(self.y)[0]
+        J = self.normals(q, struck)
+        return (
+            np.array([self.m.contacts[k].gap(q) for k in struck]),
+            np.array([self.gap_rate(k, self.y) for k in struck]),
+            J @ np.linalg.solve(self.m.mass(q), J.T),
+            np.array([self.m.contacts[k].restitution for k in struck]),
+        )
 
     def limit(self, k: int) -> None:
         """Extrapolate a sequence of impacts to its limit if there are enough of them."""

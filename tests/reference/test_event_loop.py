@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from tests.reference import kneed_walker
-from tests.reference.event_loop import Contact, Machine, Reset, Run, complementary, simulated
+from tests.reference.event_loop import (
+    Contact,
+    Machine,
+    Reset,
+    Run,
+    complementary,
+    corner_impacts,
+    parts,
+    simulated,
+)
 from tests.reference.several_stops import (
     ClippedMotor,
     clipped_motor,
@@ -209,6 +218,24 @@ def test_impacts_on_two_coupled_stops_that_accumulate_are_refused() -> None:
     run = simulated(pressed(-0.4, (-1.0, -1.0)), (0.1, 0.0, 0.0, 0.0), 20.0, closed=("right",))
     assert run.refused is not None
     assert run.refused.reason == "SimultaneousEventsError"
+
+
+def test_impacts_in_a_corner_part_if_the_angle_is_wide() -> None:
+    # Elastic impacts in a wedge of angle a: the straight way through a fan of wedges meets at most
+    # ceil(pi / a) walls, and J W J' has the cosine -cos(a).
+    for angle in (2.5, 1.7, 1.0, 0.45, 0.1):
+        c = math.cos(math.pi - angle)
+        matrix = np.array([[1.0, c], [c, 1.0]])
+        start = np.array([0.0, 1e-10]), np.array([1e-3, -1.0]), matrix
+        found, last = corner_impacts(*start, np.array([1.0, 1.0]))
+        assert math.ceil(math.pi / angle) - 1 <= len(found) <= math.ceil(math.pi / angle)
+        assert np.all(last > 0.0)
+        assert last @ np.linalg.solve(matrix, last) == pytest.approx(
+            start[1] @ np.linalg.solve(matrix, start[1]), rel=1e-12
+        )
+    # Inelastic impacts in a narrow wedge come to rest in it.
+    narrow = np.array([[1.0, -0.995], [-0.995, 1.0]])
+    assert not parts(np.array([0.0, 1e-10]), np.array([0.1, -1.0]), narrow, np.array([0.3, 0.3]))
 
 
 def test_complementarity_problems_are_solved() -> None:
