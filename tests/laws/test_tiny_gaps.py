@@ -143,6 +143,8 @@ def dropped(at: float) -> Mass:
 CASES: dict[str, tuple[tuple[Mass, ...], float | None]] = {
     "kink": ((thrown(3e-5),), None),
     "kink just after the release": ((thrown(3e-6),), None),
+    "kink while gap and rate are below the tolerance": ((thrown(3e-7, since=0.5),), None),
+    "kink while both are a ten thousandth of it": ((thrown(1e-8, since=0.5),), None),
     "kink over a lever": ((thrown(3e-5, lever=-2.0),), None),
     "reset": ((thrown(3e-5),), 4.5e-5),
     "another mass lands": ((thrown(6e-5, since=0.5), dropped(0.5 + 3e-5)), None),

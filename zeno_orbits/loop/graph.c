@@ -435,6 +435,7 @@ static int launch(Graph *g) {
                               graph->limit);
         break;
     default:
+        run->start.height = graph->hop.height;
         status = start_leg_at(&g->m, ZL_FLIGHT, graph->hop.duration, graph->hop.launch, 0.0,
                               graph->hop.error, 1, graph->limit);
     }

@@ -314,6 +314,20 @@ static int start_other_mode(const Machine *m, int mode) {
     return GO_ON;
 }
 
+/* The rounding of the gap rate by the rounding of its states. */
+static double rounding_of_rate(const Machine *m, const double *x, double rate) {
+    double moved[ZL_MOST], pair[2], sum = 0.0;
+    long long k;
+    memcpy(moved, x, (size_t)m->problem->n_x * sizeof(double));
+    for (k = 0; k < m->problem->n_x; k++) {
+        moved[k] += ROUNDING * x[k];
+        evaluate_at(m, ZL_GAP, moved, pair);
+        sum += fabs(pair[1] - rate);
+        moved[k] = x[k];
+    }
+    return sum;
+}
+
 /* The flight from the stop that is lower than the rounding of the gap, because the multiplier turns
    round or rises. */
 static Hop small_hop(const Machine *m) {
@@ -322,7 +336,7 @@ static Hop small_hop(const Machine *m) {
     double time = HOP_PART * settings->time;
     double rate[ZL_MOST], ahead[ZL_MOST], behind[ZL_MOST], gap[2], fall, turn, lift, push, inertia;
     double highest;
-    Hop hop = {0.0, 0.0, 0.0, 0};
+    Hop hop = {0.0, 0.0, 0.0, 0.0, 0};
     int rises;
     long long i;
     evaluate_at(m, ZL_GAP, x, gap);
@@ -355,6 +369,11 @@ static Hop small_hop(const Machine *m) {
     }
     hop.error = greater(settings->relative * highest, ROUNDING * settings->gap_acceleration);
     hop.launch = hop.error * sqrt(hop.error / highest);
+    if (gap[1] > rounding_of_rate(m, x, gap[1])) {
+        /* Another event meets the flight under way. */
+        hop.launch = greater(hop.launch, gap[1] / hop.duration);
+        hop.height = greater(gap[0], 0.0) / (hop.duration * hop.duration);
+    }
     return hop;
 }
 

@@ -212,7 +212,9 @@ class ArcFollower:
         if start.speed is not None:
             size = 1 / own.gap_acceleration
         launch, tolerance, hop = start.launch, self.tolerance, start.hop
+        height = start.height
         if hop is not None:
+            height = hop.height
             launch, tolerance = hop.launch, replace(tolerance, absolute=hop.error)
         elif start.speed is not None and start.height > 0.0:
             lift = self.dynamics.gap_acceleration(start.state)
@@ -222,7 +224,7 @@ class ArcFollower:
         limit = min(self.until, self.window)
         leg = Segment(
             flow=flow,
-            y=start.state if start.speed is None else launched(start.state, launch, start.height),
+            y=start.state if start.speed is None else launched(start.state, launch, height),
             horizon=(limit - start.time) / unit,
             tolerance=tolerance,
             on_guard=on_guard,

@@ -13,6 +13,7 @@ closes after a time of order :math:`3 w / |r|`.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 from zeno_orbits.arrays import Vector
@@ -35,13 +36,15 @@ class SmallHop(NamedTuple):
     Attributes:
         duration: About how long it takes [s], the unit of time of its rescaled flight.
         error: Local error of its scaled gap rate, not below what rounding permits.
-        launch: Scaled gap rate at its start, far below this error. At zero, the rounding of the
-            acceleration would decide whether the gap opens.
+        launch: Scaled gap rate at its start. On the stop it is far below this error: at zero, the
+            rounding of the acceleration would decide whether the gap opens.
+        height: Scaled gap at its start: above zero if another event meets the flight under way.
     """
 
     duration: float
     error: float
     launch: float
+    height: float = 0.0
 
 
 def small_hop(dynamics: HybridDynamics, state: Vector, relative: float) -> SmallHop | None:
@@ -74,4 +77,19 @@ def small_hop(dynamics: HybridDynamics, state: Vector, relative: float) -> Small
     if not highest * duration**2 <= low * dynamics.own.gap:
         return None
     error = max(relative * highest, ROUNDING * dynamics.own.gap_acceleration)
-    return SmallHop(duration=duration, error=error, launch=error * math.sqrt(error / highest))
+    launch, height = error * math.sqrt(error / highest), 0.0
+    rate = dynamics.gap_rate(state)
+    if rate > _rounding(dynamics.gap_rate, state):
+        launch = max(launch, rate / duration)
+        height = max(dynamics.gap(state), 0.0) / (duration * duration)
+    return SmallHop(duration=duration, error=error, launch=launch, height=height)
+
+
+def _rounding(formula: Callable[[Vector], float], x: Vector) -> float:
+    """Return the rounding of a formula by the rounding of its states."""
+    value, total = formula(x), 0.0
+    for k in range(x.size):
+        moved = x.copy()
+        moved[k] += ROUNDING * x[k]
+        total += abs(formula(moved) - value)
+    return total

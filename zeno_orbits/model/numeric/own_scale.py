@@ -9,10 +9,10 @@ far faster than the mechanism. If it is far slower, :math:`T` is ten times the t
 oscillation. :math:`T` is at most a hundred times the longest time in which an open gap of an
 initial state closes, :math:`\sqrt{h / |\ddot h|}`, as a clock or a spring may be far slower than a
 mass on its way to a stop. A start just off a stop counts as one on it: coordinates and velocities
-below 1e-15 are rounding, and a coordinate below a millionth of :math:`|v|^2 / |a|` counts as this
-way. The scale of the gap is its change over such a displacement. Scales far from 1 are rounded to
-powers of a thousand, and all other scales to 1, so a mechanism of usual size has the scale 1 in SI
-units.
+below 1e-15 are rounding, and a coordinate below 1e-12 and a millionth of :math:`|v|^2 / |a|` counts
+as this way. The scale of the gap is its change over such a displacement. Scales far from 1 are
+rounded to powers of a thousand, and all other scales to 1, so a mechanism of usual size has the
+scale 1 in SI units.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ _ROUNDED = 1e-6
 """Part of the way of a start within its own time below which its coordinates are rounding."""
 _LEAST = 1e-15
 """Coordinates and velocities of a start below this are rounding of numbers of usual size."""
+_OFF = 1e-12
+"""Largest coordinate of a start that its speed makes one on a stop."""
 _BAND, _WIDE = 3, 5
 """Decades around 1 within which a scale is rounded to 1, for accelerations and forces the second
 value."""
@@ -272,7 +274,7 @@ def reach_of(
     accelerations = _alike(np.max(np.abs(rates[:, n_q : 2 * n_q]), axis=0), units, fixed=0.0)
     # A start just off a stop, with a speed, reaches as far as one on it.
     ways = np.divide(velocities**2, accelerations, out=np.zeros(n_q), where=accelerations > 0.0)
-    places = np.where((places > 0.0) & (places <= _ROUNDED * ways), ways, places)
+    places = np.where((places > 0.0) & (places <= np.minimum(_ROUNDED * ways, _OFF)), ways, places)
     if clock:
         turn, own = 1 / np.linalg.norm(rates[0, list(clock)]), _oscillation(dynamics, states[0])
         time = min(turn, np.float64(_SLOWER * own)) if own else turn
