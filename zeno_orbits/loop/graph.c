@@ -286,9 +286,11 @@ static double rounding_of_gap(Graph *g, int stop, const double *x) {
     return greater(rounding_of_states(g, stop, x), left);
 }
 
-/* Whether a flight at a state has left its gap of zero. */
-static int is_under_way(const zl_run *run, const double *gap) {
-    return gap[0] > 0.0 && fabs(gap[1]) > run->small_rate;
+/* Whether a flight at a state has left its gap of zero. At its top the gap alone shows it. */
+static int is_under_way(Graph *g, int stop, const double *gap, const double *x) {
+    const zl_settings *settings = settings_of(g, stop);
+    return gap[0] > 0.0 && (fabs(gap[1]) > settings->contact * settings->gap_rate ||
+                            gap[0] > rounding_of_gap(g, stop, x));
 }
 
 /* Take all guards at the start of an arc; 0 unless each is above its rounding, or a switch on zero. */
@@ -332,7 +334,7 @@ static int take_guards(Graph *g) {
             } else if (in_turns && value > lost) {
                 /* Its flight is under way. */
                 watched->rounding = lesser(watched->rounding, lost);
-            } else if (value > 0.0 && moves) {
+            } else if (is_under_way(g, other->index, gap, run->start.state)) {
                 has_left = 1;
             }
         } else {
@@ -425,7 +427,8 @@ static int launch(Graph *g) {
     case FREE_ARC:
         evaluate_at(&g->m, ZL_GAP, x, gap);
         status = start_leg_at(&g->m, ZL_FREE, 1.0, 1.0, contact * settings->gap, settings->absolute,
-                              gap[0] <= run->small_gap && !is_under_way(run, gap), graph->limit);
+                              gap[0] <= run->small_gap && !is_under_way(g, focus_of(g), gap, x),
+                              graph->limit);
         break;
     case FLIGHT_ARC:
         if (run->start.height > 0.0) run->start.lift = number_at(&g->m, ZL_LIFT, x);
@@ -1809,9 +1812,7 @@ static int placed(Graph *g, double time, const double *state, long long was_clos
         falls = gap[1] < -small * settings->gap_rate;
         if (gap[0] > apart * settings->gap || (k == flying && !(is_on && falls))) continue;
         /* A gap above its rounding belongs to a flight, unless the stop was closed. */
-        if (!is_given && fabs(gap[1]) > small * settings->gap_rate &&
-            gap[0] > rounding_of_gap(g, k, x) && !is_zero(g, gap, 0.0))
-            continue;
+        if (!is_given && gap[0] > rounding_of_gap(g, k, x) && !is_zero(g, gap, 0.0)) continue;
         if (is_on && fabs(gap[1]) <= small * settings->gap_rate)
             still |= BIT(k);
         else if (is_on && gap[1] > 0.0)

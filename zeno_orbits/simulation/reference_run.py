@@ -921,7 +921,7 @@ class ReferenceRun(StopRun):
                 rounding = min(rounding, lost)
                 yield _Guard(Kind.GAP, k, view.free, x, None, gap <= rounding, rounding)
             else:
-                on_guard = gap <= rounding and not (gap > 0.0 and moves)
+                on_guard = gap <= rounding and not self._has_left(k, gap, rate, x)
                 yield _Guard(Kind.GAP, k, view.free, x, None, on_guard, rounding)
         values, levels, _ = self.graph.guards((closed, self.sides), x)
         unknown = np.flatnonzero(np.isnan(values))
@@ -934,6 +934,15 @@ class ReferenceRun(StopRun):
             flow = self.graph.guard_flow(mode, s, bool(above))
             on_guard = value <= float(levels[s])
             yield _Guard(Kind.SWITCH, s, flow, x, None, on_guard, float(levels[s]))
+
+    def is_under_way(self, x: Vector) -> bool:
+        """Return True if the flight from the stop has left its gap of zero at a state."""
+        return self._has_left(self.focus, self.dynamics.gap(x), self.dynamics.gap_rate(x), x)
+
+    def _has_left(self, stop: int, gap: float, rate: float, x: Vector) -> bool:
+        """Return True if a flight has left a gap of zero. At its top the gap alone shows it."""
+        small = self.settings.contact * self._view((), stop).own.gap_rate
+        return gap > 0.0 and (abs(rate) > small or gap > self._rounding(stop, x))
 
     def _is_left(self, stop: int, rate: float, start: ArcStart) -> bool:
         """Return True if the flight from another stop begins with an arc, and is not under way."""
@@ -1710,8 +1719,7 @@ class ReferenceRun(StopRun):
                 continue
             # A gap above its rounding belongs to a flight, unless the stop was closed.
             is_given = was_closed is None or k in was_closed
-            moves = abs(rate) > small * view.own.gap_rate and gap > self._rounding(k, x)
-            if moves and not is_given and not self._is_zero(gap, rate, 0.0):
+            if not is_given and gap > self._rounding(k, x) and not self._is_zero(gap, rate, 0.0):
                 continue
             if is_on and abs(rate) <= small * view.own.gap_rate:
                 still.append(k)

@@ -171,9 +171,7 @@ class StopRun(ABC):
         if released and self._throws_back(x) and (hop := self._small_hop(x)) is not None:
             return self._hop(start, hop)
         # A flight that is under way has left its gap of zero.
-        on_guard = released and not (
-            dynamics.gap(x) > 0.0 and abs(dynamics.gap_rate(x)) > self.small_rate
-        )
+        on_guard = released and not self.is_under_way(x)
         try:
             arc, _ = self.follow_arc(start, dynamics.free, Ending.IMPACT, on_guard=on_guard)
         except PenetrationError as error:
@@ -184,6 +182,10 @@ class StopRun(ABC):
         if not self.reaches(arc, Ending.IMPACT):
             return self.interrupted(start, arc)
         return self.meet(arc.end_time, arc.end_state, dynamics.gap_rate(arc.end_state))
+
+    @abstractmethod
+    def is_under_way(self, x: Vector) -> bool:
+        """Return True if a flight from the stop has left its gap of zero at a state."""
 
     def meet(self, time: float, x: Vector, rate: float) -> ArcStart | None:
         """Return the next start where the gap closes: the stop is struck, or only touched.
