@@ -40,8 +40,10 @@ from .guard_intervals import has_bounds as has_bounds
 from .lookups import CellTable as CellTable
 from .lookups import Lookup as Lookup
 from .lookups import Side as Side
+from .lookups import TABLE_HEAD as TABLE_HEAD
 from .lookups import called as called
 from .lookups import called_table as called_table
+from .lookups import longest_step as longest_step
 from .lookups import lookup_of as lookup_of
 from .lookups import lookups_in as lookups_in
 from .lookups import may_be_merged as may_be_merged

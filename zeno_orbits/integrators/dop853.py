@@ -40,6 +40,7 @@ class RungeKutta(SteppingEngine, Checked):
         largest = min(self.largest_step, horizon)
         size = min(first_size(flow, y, tolerance), largest)
         refused = False
+        wanted, size = size, min(size, flow.longest(y))
         while True:
             after, error = flow.attempt(y, size, tolerance)
             if not error <= 1.0:
@@ -56,5 +57,7 @@ class RungeKutta(SteppingEngine, Checked):
             y = after
             growth = GROW if error == 0.0 else SAFETY * error**EXPONENT
             size *= min(1.0 if refused else GROW, max(SHRINK, growth))
-            size = min(size, largest)
+            # A step that the end of a span cut short tells nothing against the size before it.
+            size = min(size if refused else max(size, wanted), largest)
+            wanted, size = size, min(size, flow.longest(y))
             refused = False

@@ -156,6 +156,10 @@ class FlowWithEvent(Protocol):
         """
         ...
 
+    def longest(self, y: Vector) -> float:
+        """Return the largest step from a state that cannot pass a pulse of a table unseen."""
+        ...
+
     def jacobian(self, y: Vector) -> Vector:
         """Return the derivative of the rate, ``(n_y, n_y)``."""
         ...
@@ -230,6 +234,10 @@ class PlainFlow:
         third_squared = float(np.sum((third / scale) ** 2))
         error = error_norm(fifth_squared, third_squared, abs(size), len(y), np)
         return after, float(error + overflow(np.sum(after), np))
+
+    def longest(self, _y: Vector) -> float:
+        """Return infinity, because plain functions lack tables."""
+        return math.inf
 
     def jacobian(self, y: Vector) -> Vector:
         """Return the derivative of the rate by central differences, ``(n_y, n_y)``."""

@@ -50,7 +50,7 @@ def _fall(
     fall = first_fall(leg.flow, step, before, after, on_guard=on_guard)
     if fall is not None and on_guard and _is_rounding(leg, step, fall):
         fall = None
-    return first_of_all(
+    found = first_of_all(
         leg.flow,
         step,
         before,
@@ -61,6 +61,15 @@ def _fall(
         is_low=leg.is_low,
         returns=leg.returns,
     )
+    if found is None and leg.returns and on_guard and _is_back(leg, step, before, after):
+        return step.size
+    return found
+
+
+def _is_back(leg: Segment, step: BoxedStep, before: Guard, after: Guard) -> bool:
+    """Return True if a guard that rose from its root falls to zero just where the step ends."""
+    rises = before[1] * step.size > leg.rounding
+    return rises and abs(after[0]) <= leg.rounding and after[1] < 0.0
 
 
 def _is_rounding(leg: Segment, step: Step, fall: float) -> bool:

@@ -27,7 +27,11 @@ _OPTIONS = {"is_diff_in": [False], "never_inline": True}
 _VANISHING = 2.0**-600
 """Share of the largest number of a row below which a number counts as zero."""
 _GUARD = 4
-"""Rows that describe the guard of a cell, before its numbers."""
+"""Rows that describe the guard of a cell."""
+TABLE_HEAD = 7
+"""Rows before the numbers of a cell: its guard, its width, and the lengths that a step may pass."""
+_AROUND = 1e-6
+"""Part of a cell around it that counts as in it, because an event is on a knot to rounding."""
 _HEAD = 6
 """Numbers before the knots in a table of the loop."""
 
@@ -66,10 +70,12 @@ class CellTable:
         knots: Knots in increasing order, ``(n + 1,)``. Without knots, ``(0,)``, cells are found by
             other tables.
         columns: Numbers of every cell, ``(m, n)``. A number below 1e-180 of the largest of its row
-            counts as zero: samples that decay reach 1e-320, which no scale makes whole with 1.
-        is_kinked: Whether a knot is an event. The first four columns then describe the guard of a
-            cell: its knot and the coefficients of a parabola there; of phases, cosine and sine of
-            the middle, and tangent and cotangent of a quarter of the cell.
+            counts as zero: samples that decay reach 1e-320, which no scale makes whole with 1. With
+            knots, the first four columns describe the guard of a cell: its knot and the
+            coefficients of a parabola there; of phases, cosine and sine of the middle, and tangent
+            and cotangent of a quarter of the cell. The next three are its width, and the lengths
+            from the knot or the middle, back and on, that a step may pass.
+        is_kinked: Whether a knot is an event.
         refuses: Whether a value outside of the knots lacks a cell. Else an outer cell goes on.
         turns: Whether the knots are phases of a turn [rad], from 0 to 2 pi.
     """
@@ -83,7 +89,7 @@ class CellTable:
 
     def __post_init__(self) -> None:
         columns = np.array(self.columns, dtype=np.float64)
-        for row in columns[_GUARD if self.knots.size else 0 :]:
+        for row in columns[TABLE_HEAD if self.knots.size else 0 :]:
             sizes = np.abs(row)
             row[sizes < _VANISHING * np.max(sizes)] = 0.0
         object.__setattr__(self, "columns", columns)
@@ -255,6 +261,80 @@ _EXACT = {"lookup_mode": ["exact"]}
 
 
 _known: dict[str, tuple[Any, Lookup]] = {}
+
+
+def longest_step(y: ca.SX, rate: ca.SX) -> ca.SX | None:
+    r"""Return the time in which no table of a flow passes what a step may pass, or ``None``.
+
+    It is the end of a span of a smooth table, so that no step passes a pulse unseen. It is the
+    middle of the next cell of a table whose knots are events, up to which a side has its formula.
+
+    An argument `x` with the rate `v` and the second derivative `a` along the flow stays within the
+    lengths :math:`d_+` ahead and :math:`d_-` behind it for
+
+    .. math:: \min\left(\frac{2 d_+}{|v| + \sqrt{v^2 + 2 |a| d_+}},\
+        \frac{|v| + \sqrt{v^2 + 2 |a| d_-}}{|a|}\right)
+
+    Args:
+        y: The states, ``(n_y,)``.
+        rate: The flow, ``(n_y,)``.
+    """
+    found = [_time_within(*one, y, rate) for one in _looked_up(rate)]
+    if not found:
+        return None
+    least = ca.SX(_FOREVER)
+    for one in found:
+        least = _ca.fmin(least, one)
+    return least
+
+
+_FOREVER = 1e300
+"""A time that no step reaches."""
+
+
+def _looked_up(formula: ca.SX) -> list[tuple[Lookup, list[ca.SX]]]:
+    """Return the look-ups of cells in a formula, with their arguments."""
+    if not lookups_in([formula]):
+        return []
+    function: Any = ca.Function("formula", ca.symvar(formula), [formula])
+    nodes = function.instructions_sx()
+    found: dict[tuple[str, tuple[int, ...]], tuple[Lookup, list[ca.SX]]] = {}
+    for k in range(function.n_instructions()):
+        lookup = called(nodes[k])[1] if function.instruction_id(k) == ca.OP_CALL else None
+        if lookup is not None and lookup.side is not None:
+            x = [nodes[k].dep(i) for i in range(nodes[k].n_dep())]
+            key = f"{lookup.side} {lookup.table.digest}", tuple(one.element_hash() for one in x)
+            found[key] = lookup, x
+    return list(found.values())
+
+
+def _time_within(lookup: Lookup, x: Sequence[ca.SX], y: ca.SX, rate: ca.SX) -> ca.SX:
+    """Return the time in which an argument stays within the lengths of its cell."""
+    table = lookup.table
+    cell: Any = table.on_side(lookup.side or Side.ALL)(*x)
+    numbers = table.numbers_of(_ca.floor(cell))
+    (first, second), (width, behind, ahead) = numbers[:2], numbers[_GUARD:TABLE_HEAD]
+    if table.turns:
+        way = _ca.asin(x[1] * first - x[0] * second)
+        c, s = (_ca.jtimes(one, y, rate) for one in x)
+        speed, bend = x[0] * s - x[1] * c, ca.SX(0)
+    else:
+        way = x[0] - first
+        speed = _ca.jtimes(x[0], y, rate)
+        bend = _ca.fabs(_ca.jtimes(speed, y, rate))
+    forward = speed >= 0
+    on, back = ahead - way, behind + way
+    near, far = _ca.if_else(forward, on, back), _ca.if_else(forward, back, on)
+    fast = _ca.fabs(speed)
+    until = 2 * near / (fast + _ca.sqrt(fast**2 + 2 * bend * near))
+    if not bend.is_zero():
+        until = _ca.fmin(until, (fast + _ca.sqrt(fast**2 + 2 * bend * far)) / bend)
+    is_within = near > 0
+    if table.is_kinked:
+        # A side looks up some cell even far from its own, where nothing can be bounded.
+        middle = ca.SX(0) if table.turns else width / 2
+        is_within = _ca.fabs(way - middle) <= (0.5 + _AROUND) * width
+    return _ca.if_else(is_within, until, _FOREVER)
 
 
 def _kept(name: str, function: Any, lookup: Lookup) -> Any:

@@ -68,6 +68,7 @@ class Radau(SteppingEngine, Checked):
         exponent = -1.0 / (self.scheme.n_stages + 1)
         last: RadauStep | None = None
         refused = False
+        wanted, size = size, min(size, flow.longest(y))
         while True:
             guess = None if last is None else StageGuess(last.coefficients, 1.0, size / last.size)
             found = solved(pieces, y, size, tolerance, guess)
@@ -93,5 +94,7 @@ class Radau(SteppingEngine, Checked):
             yield last
             time += size
             y = last.after
-            size = min(size * min(1.0 if refused else GROW, factor), largest)
+            size *= min(1.0 if refused else GROW, factor)
+            size = min(size if refused else max(size, wanted), largest)
+            wanted, size = size, min(size, flow.longest(y))
             refused = False

@@ -16,7 +16,7 @@ from zeno_orbits.integrators.following import follow_steps
 from zeno_orbits.integrators.steps import hermite_box
 
 if TYPE_CHECKING:
-    from scipy.integrate import DOP853, LSODA, OdeSolver, Radau
+    from scipy.integrate import DOP853, LSODA, Radau
 
 _FAR = 1e300
 """A time bound that no flow reaches, as SciPy's solvers require a bound."""
@@ -48,7 +48,9 @@ class SciPy:
         Raises:
             StepSizeError: If the integrator gives up.
         """
-        solver: OdeSolver = self.method(
+        from scipy.integrate import LSODA
+
+        solver = self.method(
             lambda _, state: flow.rate(np.asarray(state, dtype=np.float64)),
             0.0,
             y,
@@ -59,6 +61,9 @@ class SciPy:
         )
         before = y
         while True:
+            if not isinstance(solver, LSODA):
+                # LSODA keeps its first bound.
+                solver.max_step = min(self.largest_step, flow.longest(before))
             start = float(solver.t)
             with np.errstate(all="ignore"):
                 # The NaN of a step that overflows rejects the step, so a warning would be

@@ -55,6 +55,12 @@ static void bounds_beside(const Curve *curve, const Place *left, const Place *ri
     }
 }
 
+/* Whether a guard that rose from its root falls to zero just where the step ends. */
+static int is_back(const Watched *watched, double size) {
+    return watched->before[1] * size > watched->rounding &&
+           fabs(watched->after[0]) <= watched->rounding && watched->after[1] < 0.0;
+}
+
 /* Where in a step a guard first falls; NaN if it does not. As `leg_fall`. */
 static double fall_beside(Step *step, int k) {
     const Machine *m = step->m;
@@ -84,6 +90,8 @@ static double fall_beside(Step *step, int k) {
         net.bounds = bounds_beside;
         fall = first_of_all(&net, watched->before, watched->after, step->before, step->after, fall,
                             on_guard, watched->rounding);
+        if (isnan(fall) && net.returns && on_guard && is_back(watched, step->curve.size))
+            fall = step->curve.size;
     }
     return fall;
 }

@@ -263,10 +263,11 @@ static double first_size(const Leg *leg) {
 /* Rescale the flights to another speed after an impact. */
 static void set_speed(const Machine *m, double speed) {
     const int rate = ZL_RATE + ZL_FLIGHT, guard = ZL_GUARD + ZL_FLIGHT;
-    const int watched = ZL_WATCHED + ZL_FLIGHT;
+    const int watched = ZL_WATCHED + ZL_FLIGHT, longest = ZL_LONGEST + ZL_FLIGHT;
     m->p[m->problem->n_p] = speed;
     tape_prepare(&m->problem->tapes[rate], m->registers[rate], m->p);
     tape_prepare(&m->problem->tapes[guard], m->registers[guard], m->p);
+    tape_prepare(&m->problem->tapes[longest], m->registers[longest], m->p);
     intervals_prepare(&m->problem->tapes[watched], m->registers[watched], m->p);
     m->ready->has_jacobian[ZL_FLIGHT] = m->ready->has_lanes[ZL_FLIGHT] = 0;
 }
@@ -302,11 +303,29 @@ static int begin_leg(const Machine *m, int mode, double unit, const double *y, d
     return 1;
 }
 
+/* Cut a step where a span of a table ends, and keep the size that it would have. */
+static void cut_step(const Machine *m) {
+    Leg *leg = &m->run->leg;
+    const int tape = ZL_LONGEST + (int)leg->mode;
+    double longest;
+    leg->wanted = leg->size;
+    if (!m->problem->tapes[tape].n_outputs) return;
+    evaluate_at(m, tape, leg->y, &longest);
+    leg->size = lesser(leg->size, longest);
+}
+
+/* The size of the next step. A step that was cut tells nothing against the size before it. */
+static double next_size(const Leg *leg, double growth, double largest) {
+    const double size = leg->size * growth;
+    return lesser(leg->refused ? size : greater(size, leg->wanted), largest);
+}
+
 /* Take an accepted explicit step; a status if the step size falls to rounding level. */
 static int take_explicit(const Machine *m, double *after, double *error) {
     Leg *leg = &m->run->leg;
     double slopes[12][ZL_MOST];
     memcpy(slopes[0], leg->slope, sizeof leg->slope);
+    cut_step(m);
     for (;;) {
         double factor = EXPLICIT_SHRINK;
         *error = explicit_step(m, leg->y, leg->size, slopes, after);
@@ -323,6 +342,7 @@ static int take_explicit(const Machine *m, double *after, double *error) {
 /* The same of an implicit step; `factor` is what its error lets the next one be longer by. */
 static int take_implicit(const Machine *m, Found *found, double *factor) {
     Leg *leg = &m->run->leg;
+    cut_step(m);
     for (;;) {
         double ratio = leg->has_last ? leg->size / leg->last_size : 0.0;
         double error = INFINITY;
@@ -517,8 +537,8 @@ static int step_leg(const Machine *m) {
     leg->guard[0] = guard[0];
     leg->guard[1] = guard[1];
     if (was_implicit) {
-        leg->size = lesser(size * lesser(leg->refused ? 1.0 : IMPLICIT_GROW, factor),
-                           leg->largest_implicit);
+        leg->size = next_size(leg, lesser(leg->refused ? 1.0 : IMPLICIT_GROW, factor),
+                              leg->largest_implicit);
         leg->refused = 0;
         leg->time += size;
     } else {
@@ -527,9 +547,9 @@ static int step_leg(const Machine *m) {
         if (!over) {
             double growth = EXPLICIT_GROW;
             if (error != 0.0) growth = EXPLICIT_SAFETY * pow(error, EXPLICIT_EXPONENT);
-            leg->size *=
-                lesser(leg->refused ? 1.0 : EXPLICIT_GROW, greater(EXPLICIT_SHRINK, growth));
-            leg->size = lesser(leg->size, leg->largest_explicit);
+            leg->size = next_size(
+                leg, lesser(leg->refused ? 1.0 : EXPLICIT_GROW, greater(EXPLICIT_SHRINK, growth)),
+                leg->largest_explicit);
             leg->refused = 0;
         }
     }

@@ -96,6 +96,8 @@ class LegProgram(TapedProblem):
         tapes[c.JACOBIAN] = tape_of(mode.jacobian)
         if mode.bounded is not None:
             tapes[c.WATCHED] = tape_of(mode.bounded)
+        if mode.longest is not None:
+            tapes[c.LONGEST] = tape_of(mode.longest)
         super().__init__(library, tapes, (mode.is_carried,), mode.n_y, 0, mode.n_p)
         self._leg_rooms: list[_Room] = []
 

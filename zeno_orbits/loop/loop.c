@@ -175,9 +175,9 @@ int zl_flight(const zl_problem *problem, zl_run *run, const double *state, doubl
             memcpy(leg->y, after, sizeof after);
             rate_at(&m, leg->y, leg->slope);
             if (error != 0.0) growth = EXPLICIT_SAFETY * pow(error, EXPLICIT_EXPONENT);
-            leg->size *=
-                lesser(leg->refused ? 1.0 : EXPLICIT_GROW, greater(EXPLICIT_SHRINK, growth));
-            leg->size = lesser(leg->size, leg->largest_explicit);
+            leg->size = next_size(
+                leg, lesser(leg->refused ? 1.0 : EXPLICIT_GROW, greater(EXPLICIT_SHRINK, growth)),
+                leg->largest_explicit);
             leg->refused = 0;
         }
     }

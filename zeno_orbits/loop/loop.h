@@ -46,7 +46,9 @@ enum {
     ZL_REBOUND,      /* gap rate after an impact, of the one before it */
     ZL_RESTING,      /* state on the stop, its gap acceleration, its locked flow */
     ZL_LANDING,      /* state after an impact, its gap rate, then as ZL_RESTING of it */
-    ZL_TAPES
+    ZL_LONGEST,      /* of a mode: the largest step that passes no pulse of a table unseen; without
+                        outputs if there is no bound */
+    ZL_TAPES = ZL_LONGEST + ZL_MODES
 };
 
 /* Radau IIA: nodes and matrices by rows, then eigenvalues, columns and rows of the eigenvectors of

@@ -264,6 +264,8 @@ def _tapes(system: CompiledSystem) -> Iterator[Tape]:
     yield tape_of(system.rebound, parameters=0)
     yield tape_of(system.resting)
     yield tape_of(system.landing)
+    for mode in modes:
+        yield Tape.empty() if mode.longest is None else tape_of(mode.longest)
 
 
 def fill_tape(place: Any, tape: Tape) -> None:

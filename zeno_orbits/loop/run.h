@@ -4,7 +4,7 @@ typedef struct {
     long long mode, n_y, implicit, on_guard, refused, has_last, has_slope, n_explicit;
     long long first_step, n_steps, first_polynomial, n_polynomials;
     double unit, launch, height, start_time, horizon, late, rounding, largest_explicit, largest_implicit;
-    double time, size, last_size, earlier_size, fastest, first, largest_change, duration;
+    double time, size, wanted, last_size, earlier_size, fastest, first, largest_change, duration;
     double relative, absolute;
     double guard[2], y[ZL_MOST], slope[ZL_MOST], end[ZL_MOST], rates[2 * ZL_MOST];
     double coefficients[ZL_STAGES * ZL_MOST];

@@ -23,8 +23,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, shown
-from zeno_orbits.integrators import CellTable
+from zeno_orbits.integrators import TABLE_HEAD, CellTable
 from zeno_orbits.model.clock import Clock, Time
+from zeno_orbits.model.expressions.spans import reach, reach_of_cells
 from zeno_orbits.model.expressions.tables import horner, numbers_in, table
 from zeno_orbits.work import ByValue, checked
 
@@ -217,17 +218,31 @@ def _repeated(given: Record, clock: Clock) -> ca.SX:
     at = np.mod(middles - offset, _TURN)
     order = made.c.shape[0]
     rows = [made(at, nu=k) / math.factorial(k) for k in range(order)]
+    if given.kind == "linear":
+        lengths = reach_of_cells(knots, turns=True)
+    else:
+        lengths = reach(knots, _from_knots(np.array(rows), halves)[:, :, None], turns=True)
     quarter = np.tan(halves / 2)
+    guard = np.stack([np.cos(middles), np.sin(middles), quarter, 1.0 / quarter])
     cells = CellTable(
         name=f"the record `{given.name}`",
         knots=knots,
-        columns=np.vstack([np.cos(middles), np.sin(middles), quarter, 1.0 / quarter, *rows]),
+        columns=np.vstack([guard, 2 * halves, lengths[0] + halves, lengths[1] - halves, *rows]),
         is_kinked=given.kind == "linear",
         turns=True,
     )
     found = cells.numbers_of(cells.cell(clock.cosine, clock.sine))
     way = ca.asin(clock.sine * found[0] - clock.cosine * found[1])
-    return horner(found[4:], way)
+    return horner(found[TABLE_HEAD:], way)
+
+
+def _from_knots(rows: Vector, halves: Vector) -> Vector:
+    """Return coefficients in powers of the way from the knot in place of the middle of a cell."""
+    moved = np.zeros_like(rows)
+    for k, one in enumerate(rows):
+        for j in range(k + 1):
+            moved[j] += math.comb(k, j) * one * (-halves) ** (k - j)
+    return moved
 
 
 def _knots(phases: Vector, offset: float, *, is_kinked: bool) -> Vector:

@@ -20,8 +20,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import shown
-from zeno_orbits.integrators import CellTable
+from zeno_orbits.integrators import TABLE_HEAD, CellTable
 from zeno_orbits.model.expressions.identities import at_random_points, is_told_by_points
+from zeno_orbits.model.expressions.spans import reach, reach_of_cells
 from zeno_orbits.work import checked
 
 _KINDS, _OUTSIDE = ("linear", "cubic", "monotone"), ("refuse", "hold", "extend")
@@ -222,13 +223,14 @@ def _cells(knots: Vector, values: Vector, kind: str) -> Vector:
     return np.array(made.c[::-1], dtype=np.float64)
 
 
-def _borders(knots: Vector) -> Vector:
-    """Return knot and guard of every cell, ``(4, n)``: see `CellTable.guard`."""
+def _borders(knots: Vector, coefficients: Vector, *, is_kinked: bool) -> Vector:
+    """Return the first columns of a table by the coefficients of its cells: see `CellTable`."""
+    lengths = reach_of_cells(knots) if is_kinked else reach(knots, coefficients)
     width, n = np.diff(knots), len(knots) - 1
     guard = np.stack([np.zeros(n), np.ones(n), -1.0 / width])
     guard[:, -1] = 0.0, 1.0, 0.0
     guard[:, 0] = width[0], -1.0, 0.0
-    return np.vstack([knots[:-1], guard])
+    return np.vstack([knots[:-1], guard, width, lengths])
 
 
 def _require_fit(n_values: int, n_knots: int, what: str = "") -> None:
@@ -291,13 +293,14 @@ def _polynomials(
     cells = CellTable(
         name=f"the table `{name}`",
         knots=knots,
-        columns=np.vstack([_borders(knots), rows]),
+        columns=np.vstack([_borders(knots, coefficients, is_kinked=is_kinked), rows]),
         is_kinked=is_kinked,
         refuses=outside == "refuse",
     )
     found = cells.numbers_of(cells.cell(x))
     u, n = x - found[0], len(coefficients)
-    return [horner(found[4 + k * n : 4 + (k + 1) * n], u) for k in range(coefficients.shape[2])]
+    own = found[TABLE_HEAD:]
+    return [horner(own[k * n : (k + 1) * n], u) for k in range(coefficients.shape[2])]
 
 
 def horner(coefficients: Sequence[ca.SX], u: ca.SX) -> ca.SX:
@@ -327,14 +330,17 @@ def _surface(axes: Sequence[_Axis], values: Vector, kind: str, outside: str, nam
     if outside == "hold" and is_kinked:
         values = np.pad(values, 1, mode="edge")
     held = [_held(axis, outside, is_kinked=is_kinked)[:2] for axis in axes]
-    along = np.moveaxis(_cells(held[0][1], values, kind), 2, 0)
-    every = np.transpose(_cells(held[1][1], along, kind), (2, 0, 3, 1))
-    return _patches(held, every, name, refuses=outside == "refuse", is_kinked=is_kinked)
+    (_, first), (_, second) = held
+    along, across = _cells(first, values, kind), _cells(second, values.T, kind)
+    every = np.transpose(_cells(second, np.moveaxis(along, 2, 0), kind), (2, 0, 3, 1))
+    parts, refuses = (along, across), outside == "refuse"
+    return _patches(held, every, parts, name, refuses=refuses, is_kinked=is_kinked)
 
 
 def _patches(
     axes: Sequence[tuple[ca.SX, Vector]],
     coefficients: Vector,
+    parts: Sequence[Vector],
     name: str,
     *,
     refuses: bool,
@@ -346,6 +352,8 @@ def _patches(
         axes: Both arguments with their knots.
         coefficients: Coefficients by the powers of both arguments and by the cells, ``(k, l, n,
             m)``.
+        parts: For each argument, coefficients of functions of it alone that make up the function,
+            ``(k, n, ...)``.
         name: Name of the table.
         refuses: Whether the function is undefined beyond the knots.
         is_kinked: Whether knots are events.
@@ -356,7 +364,7 @@ def _patches(
         one = CellTable(
             name=f"argument {k + 1} of the table `{name}`",
             knots=knots,
-            columns=_borders(knots),
+            columns=_borders(knots, parts[k], is_kinked=is_kinked),
             is_kinked=is_kinked,
             refuses=refuses,
         )
@@ -446,11 +454,12 @@ def _of_splines(
         axis = _Axis(arguments[0], knots)
         return _polynomials(axis, coefficients, outside, name, is_kinked=is_kinked)
     first, along = _pieces(places[0], np.moveaxis(values[:, :, 0], 0, 1), degrees[0])
-    second, every = _pieces(places[1], np.moveaxis(along, 2, 0), degrees[1])
+    second, across = _pieces(places[1], values[:, :, 0], degrees[1])
+    _, every = _pieces(places[1], np.moveaxis(along, 2, 0), degrees[1])
     axes = list(zip(arguments, (first, second), strict=True))
     patches = np.transpose(every, (2, 0, 3, 1))
-    refuses = outside == "refuse"
-    return [_patches(axes, patches, name, refuses=refuses, is_kinked=is_kinked)]
+    parts, refuses = (along, across), outside == "refuse"
+    return [_patches(axes, patches, parts, name, refuses=refuses, is_kinked=is_kinked)]
 
 
 def _pieces(places: Vector, values: Vector, degree: int) -> tuple[Vector, Vector]:

@@ -26,6 +26,7 @@ from zeno_orbits.integrators import (
     guard_bounds,
     has_bounds,
     implicit_expressions,
+    longest_step,
     may_be_merged,
     n_factors,
     overflow,
@@ -90,6 +91,13 @@ class ModeFunctions:
         y, p = self._symbols()
         name = f"{self.rate.name()}_jacobian"
         return dense_function(name, [y, p], [ca.jacobian(self.rate(y, p), y)])
+
+    @cached_property
+    def longest(self) -> ca.Function | None:
+        """``(y, p) -> largest step``, or ``None`` without smooth tables: see `longest_step`."""
+        y, p = self._symbols()
+        found = longest_step(y, self.rate(y, p))
+        return None if found is None else dense_function("longest", [y, p], [found])
 
     @cached_property
     def step(self) -> ca.Function:
@@ -287,6 +295,12 @@ class FlowMemory:
         return None if bounds is None else Call(bounds, self.p)
 
     @cached_property
+    def longest(self) -> Call | None:
+        """From a state to the largest step, or ``None`` without a bound."""
+        longest = self.mode.longest
+        return None if longest is None else Call(longest, self.p)
+
+    @cached_property
     def jacobian(self) -> Call:
         """From a state to the derivative of ``dy/dt``."""
         return Call(self.mode.jacobian, self.p)
@@ -394,6 +408,11 @@ class CompiledFlow:
     def keep_end(self, after: Vector, guard: tuple[float, float]) -> None:
         """Cache the guard at the end of a step. The state is identified by its array."""
         self._end, self._end_guard = after, guard
+
+    def longest(self, y: Vector) -> float:
+        """Return the largest step from a state that cannot pass a pulse of a table unseen."""
+        longest = self.calls().longest
+        return math.inf if longest is None else float(longest(y)[0])
 
     def jacobian(self, y: Vector) -> Vector:
         """Return the derivative of the rate, ``(n_y, n_y)``."""
