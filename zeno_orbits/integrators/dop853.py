@@ -14,7 +14,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.engine import FAR
 from zeno_orbits.integrators.flow import FlowWithEvent, Tolerance
 from zeno_orbits.integrators.stepping import SteppingEngine
-from zeno_orbits.integrators.steps import ExplicitStep, first_size, too_small
+from zeno_orbits.integrators.steps import ExplicitStep, cut, first_size, too_small
 from zeno_orbits.work import Checked
 
 SAFETY = 0.9
@@ -40,7 +40,7 @@ class RungeKutta(SteppingEngine, Checked):
         largest = min(self.largest_step, horizon)
         size = min(first_size(flow, y, tolerance), largest)
         refused = False
-        wanted, size = size, min(size, flow.longest(y))
+        wanted, size = cut(flow, y, size)
         while True:
             after, error = flow.attempt(y, size, tolerance)
             if not error <= 1.0:
@@ -59,5 +59,5 @@ class RungeKutta(SteppingEngine, Checked):
             size *= min(1.0 if refused else GROW, max(SHRINK, growth))
             # A step that the end of a span cut short tells nothing against the size before it.
             size = min(size if refused else max(size, wanted), largest)
-            wanted, size = size, min(size, flow.longest(y))
+            wanted, size = cut(flow, y, size)
             refused = False

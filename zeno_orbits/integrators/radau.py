@@ -15,7 +15,7 @@ from zeno_orbits.integrators.collocation import Collocation, radau_scheme
 from zeno_orbits.integrators.engine import FAR
 from zeno_orbits.integrators.flow import FlowWithEvent, StageGuess, Tolerance
 from zeno_orbits.integrators.stepping import SteppingEngine
-from zeno_orbits.integrators.steps import RadauStep, first_size, solved, too_small
+from zeno_orbits.integrators.steps import RadauStep, cut, first_size, solved, too_small
 from zeno_orbits.work import Checked
 
 SAFETY = 0.9
@@ -68,7 +68,7 @@ class Radau(SteppingEngine, Checked):
         exponent = -1.0 / (self.scheme.n_stages + 1)
         last: RadauStep | None = None
         refused = False
-        wanted, size = size, min(size, flow.longest(y))
+        wanted, size = cut(flow, y, size)
         while True:
             guess = None if last is None else StageGuess(last.coefficients, 1.0, size / last.size)
             found = solved(pieces, y, size, tolerance, guess)
@@ -96,5 +96,5 @@ class Radau(SteppingEngine, Checked):
             y = last.after
             size *= min(1.0 if refused else GROW, factor)
             size = min(size if refused else max(size, wanted), largest)
-            wanted, size = size, min(size, flow.longest(y))
+            wanted, size = cut(flow, y, size)
             refused = False

@@ -192,6 +192,18 @@ def solved(
     return None
 
 
+def cut(flow: FlowWithEvent, y: Vector, size: float) -> tuple[float, float]:
+    """Return the size that a step would have, 0 if it is not cut, and its size up to a span's end.
+
+    Args:
+        flow: The flow.
+        y: State at the start, ``(n_y,)``.
+        size: Size of the step so far.
+    """
+    longest = flow.longest(y)
+    return (size, longest) if longest < size else (0.0, size)
+
+
 def first_size(flow: FlowWithEvent, y: Vector, tolerance: Tolerance) -> float:
     """Return a first step from the sizes of state and slope ([HairerNorsettWanner1993]_, II.4).
 

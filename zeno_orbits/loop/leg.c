@@ -308,10 +308,12 @@ static void cut_step(const Machine *m) {
     Leg *leg = &m->run->leg;
     const int tape = ZL_LONGEST + (int)leg->mode;
     double longest;
-    leg->wanted = leg->size;
+    leg->wanted = 0.0;
     if (!m->problem->tapes[tape].n_outputs) return;
     evaluate_at(m, tape, leg->y, &longest);
-    leg->size = lesser(leg->size, longest);
+    if (!(longest < leg->size)) return;
+    leg->wanted = leg->size;
+    leg->size = longest;
 }
 
 /* The size of the next step. A step that was cut tells nothing against the size before it. */
