@@ -21,7 +21,7 @@ import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.reference.rocking_by_hand import rocking_by_hand
 from tests.support.tabled import FLOW, followed, oscillator, under
-from zeno_orbits.errors import DataFileError, InputError
+from zeno_orbits.errors import ChatterError, DataFileError, InputError
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.simulation import SimulationSettings, SimulationTask, by_reference
 from zeno_orbits.simulation.compiled.executions import by_loop
@@ -90,6 +90,28 @@ def test_a_record_may_decay_to_the_least_number(kind: str) -> None:
         for each in (inputs, stops)
     ]
     assert np.array_equal(runs[0].end_state, runs[1].end_state)
+
+
+def test_samples_are_no_chatter_and_switches_have_a_limit_of_their_own() -> None:
+    samples = np.random.default_rng(4).normal(size=30)
+    few = SimulationSettings(most_impacts=3)
+    shaken = oscillator(zo.record(np.arange(30) * 0.1, samples))
+    sampled = zo.load_problem("sampled_pendulum")
+    for problem, until in ((shaken, 3.5), (sampled, 5.0)):
+        task = SimulationTask(
+            dynamics=problem.graph_dynamics(problem.values()),
+            state=np.array(problem.state_vector(problem.starts[0])),
+            until=until,
+            settings=few,
+        )
+        for run in (by_loop, by_reference):
+            if problem is shaken:
+                found = run(task)
+                assert found is not None
+                assert len(found.events) == 29
+                continue
+            with pytest.raises(ChatterError, match=r"More than 3 switches occurred, .*`sample`"):
+                run(task)
 
 
 @needs_compiler

@@ -124,11 +124,11 @@ int main(int n_words, char **words) {
     if (!run || !p || !estimates || !events) return 2;
     for (k = 0; k < runs; k++) {
         status = run_once(run, p, estimates, events);
-        if (status < 0 || status > ZL_BEYOND_LAW) return 3;
+        if (status < 0 || status > ZL_MANY_SWITCHES) return 3;
         counts[status]++;
         if (k % 10 == 0) unit_once();
     }
-    for (k = 0; k <= ZL_BEYOND_LAW; k++) printf("%d ", counts[k]);
+    for (k = 0; k <= ZL_MANY_SWITCHES; k++) printf("%d ", counts[k]);
     printf("\n");
     free(events);
     free(estimates);

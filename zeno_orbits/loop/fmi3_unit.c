@@ -114,10 +114,11 @@ static int interrupted(const Unit *unit, int status) {
         "A switch is armed at its start",
         "Switching times do not increase",
         "The restitution leaves [0, 1] at the speed of an impact",
+        "Switches occur too often",
     };
     zl_detail detail;
     const char *text = "The run ended";
-    if (status >= ZL_TOO_STIFF && status <= ZL_BEYOND_LAW) text = texts[status - ZL_TOO_STIFF];
+    if (status >= ZL_TOO_STIFF && status <= ZL_MANY_SWITCHES) text = texts[status - ZL_TOO_STIFF];
     zl_tell(unit->run, &detail);
     return fail_at(unit, text, unit->reached.origin + detail.time);
 }

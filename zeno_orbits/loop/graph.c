@@ -1226,13 +1226,13 @@ static int count_switch(Graph *g, double time, int k, const double *before, cons
     zl_run *run = g->m.run;
     const double none[3] = {0.0, 0.0, 0.0};
     write_event_of(&g->m, ZL_SWITCH, k, time, none, before, after);
-    run->graph.n_switches++;
     if (k < g->whole->graph->n_declared) {
         int status = see_switch(&g->m, time, k, after);
         if (status != GO_ON) return status;
+        /* A kink ends a step, so the limit of steps is its limit. */
+        if (++run->graph.n_switches > run->settings.most_impacts)
+            return tell(&g->m, ZL_MANY_SWITCHES, time, after, k);
     }
-    if (run->graph.n_switches > run->settings.most_impacts)
-        return tell(&g->m, ZL_MANY_IMPACTS, time, after, k);
     return GO_ON;
 }
 

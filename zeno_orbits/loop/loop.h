@@ -170,7 +170,8 @@ enum {
     ZL_BY_SWITCH,     /* the reset of a switch sends the state into a stop: `about` */
     ZL_ARMED,         /* the switch `index` is armed at the start */
     ZL_UNORDERED,     /* switching times of a piecewise input do not increase */
-    ZL_BEYOND_LAW     /* the restitution leaves [0, 1] at the speed of an impact: rates before, after */
+    ZL_BEYOND_LAW,    /* the restitution leaves [0, 1] at the speed of an impact: rates before, after */
+    ZL_MANY_SWITCHES  /* a limit of the settings; the last one is the switch `index` */
 };
 
 /* What a status is about. A singular flow names a kink nearby, or -1, as `index`. */

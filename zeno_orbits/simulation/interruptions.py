@@ -164,6 +164,23 @@ def does_not_accumulate(most: int, time: float, state: Vector) -> ChatterError:
     )
 
 
+def switches_too_often(switch: str, most: int, time: float, state: Vector) -> ChatterError:
+    """Return the error of an execution with too many declared switches.
+
+    Args:
+        switch: Name of the last one.
+        most: Switches that an execution may have.
+        time: When [s].
+        state: State there, ``(n_x,)``.
+    """
+    return ChatterError(
+        f"More than {most} switches occurred, the last one is `{switch}`: raise `most_impacts` "
+        "(--max-impacts), or simulate a shorter time",
+        time=time,
+        state=tuple(state.tolist()),
+    )
+
+
 def coincide(first: str, second: str, time: float, state: Vector) -> SimultaneousEventsError:
     """Return the error of two events at one time.
 

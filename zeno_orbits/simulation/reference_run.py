@@ -56,12 +56,12 @@ from zeno_orbits.simulation.interruptions import (
     accumulate_together,
     armed_at_start,
     coincide,
-    does_not_accumulate,
     enters_by_switch,
     flow_ends,
     leaves_set,
     slides,
     switches_accumulate,
+    switches_too_often,
     undefined_guard,
     undetermined_contact,
 )
@@ -217,7 +217,7 @@ class ReferenceRun(StopRun):
         split_by: The kinks that split the last flight of that sequence, and the present flight.
         window: Time in which the next event is first looked for [s].
         flipped: Time of the last start on the wrong side of a switch, and the switches then.
-        n_switches: Number of switches so far.
+        n_switches: Number of declared switches so far.
         together: The stops that open at the end of the last arc, if there are several.
         past: The switch that has just occurred at the start, as in `SimulationTask.past_switch`.
         seen: The last impacts and switches, by which accumulations are recognized.
@@ -1551,11 +1551,12 @@ class ReferenceRun(StopRun):
     def _count_switch(self, time: float, name: str, before: Vector, after: Vector) -> None:
         event = SwitchEvent(time=time, name=name, state_minus=before, state_plus=after)
         self.events.append(event)
-        self.n_switches += 1
         if self.graph.switch_names.index(name) < self.graph.n_declared:
             self.seen.see_switch(time, name, after, self.own.time)
-        if self.n_switches > self.settings.most_impacts:
-            raise does_not_accumulate(self.settings.most_impacts, time, after)
+            # A kink ends a step, so the limit of steps is its limit.
+            self.n_switches += 1
+            if self.n_switches > self.settings.most_impacts:
+                raise switches_too_often(name, self.settings.most_impacts, time, after)
 
     def _require_slow_decay(self, kink: int, time: float, x: Vector) -> None:
         """Refuse impacts that accumulate while a kink changes the acceleration of the gap."""

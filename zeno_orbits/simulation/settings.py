@@ -25,7 +25,8 @@ class SimulationSettings(Checked):
             acceleration counts as zero.
         far: Bound of the coordinates, beyond which the execution ends with an error. It is a single
             bound for all coordinates, or one bound per coordinate.
-        most_impacts: Largest number of impacts in a sequence before the execution is aborted.
+        most_impacts: Largest number of impacts in a sequence, and of declared switches in all,
+            before the execution is aborted.
         most_steps: Largest number of steps of all arcs before the execution is aborted. Each step
             is stored for dense output, at about 400 bytes.
     """

@@ -24,6 +24,7 @@ from zeno_orbits.simulation.interruptions import (
     runs_away,
     slides,
     switches_accumulate,
+    switches_too_often,
     too_many_steps,
     undefined_guard,
     undetermined_contact,
@@ -94,6 +95,9 @@ def _of_events(task: SimulationTask, told: Detail) -> _Made:
         binding.TOGETHER: lambda: together(f"events of the switch `{switches[about[1]]}` come"),
         binding.IN_TURN: lambda: together(
             f"impacts on {', '.join(f'`{name}`' for name in sorted(chosen(about[1])))} come"
+        ),
+        binding.MANY_SWITCHES: lambda: switches_too_often(
+            switches[told.index], task.settings.most_impacts, time, state
         ),
         binding.ACCUMULATE: lambda: switches_accumulate(switches[told.index], time, state),
         binding.UNDEFINED: lambda: undefined_guard(switches[told.index], time, state),
