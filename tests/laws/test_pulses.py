@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
-from tests.support.tabled import C, mass, oscillator
+from tests.support.tabled import mass, moved, oscillator
 from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy
 from zeno_orbits.simulation import SimulationSettings, SimulationTask, by_reference
 from zeno_orbits.simulation.compiled.executions import by_loop
@@ -39,20 +39,6 @@ def pulse(n: int, at: int, *heights: float) -> np.ndarray:
     samples = np.zeros(n)
     samples[at : at + len(heights)] = heights
     return samples
-
-
-def moved(force: Any, marks: np.ndarray, until: float) -> np.ndarray:
-    """Return place and speed of the oscillator of `tabled` at a time, after a force from rest."""
-    nodes, weights = np.polynomial.legendre.leggauss(8)
-    halves = np.diff(marks)[:, None] / 2
-    at = (marks[1:] + marks[:-1])[:, None] / 2 + halves * nodes
-    shares = force(at) * weights * halves
-    turn = math.sqrt(1.0 - C**2 / 4)
-    t = until - at
-    decay = np.exp(-C * t / 2)
-    place = decay * np.sin(turn * t) / turn
-    speed = decay * np.cos(turn * t) - C / 2 * place
-    return np.array([np.sum(shares * place), np.sum(shares * speed)])
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -14,13 +14,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.linalg import expm
 
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.reference.rocking_by_hand import rocking_by_hand
-from tests.support.tabled import FLOW, followed, oscillator, under
+from tests.support.tabled import FLOW, followed, moved, oscillator, under
 from zeno_orbits.errors import ChatterError, DataFileError, InputError
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.simulation import SimulationSettings, SimulationTask, by_reference
@@ -69,6 +69,27 @@ def test_a_repeated_cubic_record_is_a_periodic_spline_without_events() -> None:
     assert not zo.simulate(oscillator(record), until=7.0).events
 
 
+@pytest.mark.parametrize("n", [2, 5, 30])
+def test_a_repeated_monotone_record_overshoots_nowhere_and_has_one_course_in_every_turn(
+    n: int,
+) -> None:
+    rng = np.random.default_rng(n)
+    times, inputs = np.sort(rng.uniform(-1.0, 1.9, n)), rng.normal(size=n)
+    record = zo.record(times, inputs, period=3.0, kind="monotone")
+    clock = zo.Clock.at(ca.SX(record.frequency))
+    value: Any = ca.Function("u", [clock.state], [record.at(clock)])
+    # Of many turns in a row, the middle one is as if repeated.
+    every = np.concatenate([times + 3.0 * k for k in range(-3, 5)])
+    wanted = PchipInterpolator(every, np.tile(inputs, 8))
+    for at in rng.uniform(-3.0, 3.0, 60):
+        angle = record.frequency * at
+        found = float(value([math.cos(angle), math.sin(angle)]))
+        assert found == pytest.approx(float(wanted(at)), abs=1e-12)
+        assert min(inputs) - EXACT <= found <= max(inputs) + EXACT
+    run = zo.simulate(oscillator(record), until=7.0)
+    assert run.end_state[:2] == pytest.approx(moved(wanted, np.sort(every), 7.0), abs=1e-11)
+
+
 def test_the_orbit_under_a_repeated_record_has_its_multipliers() -> None:
     times, inputs = np.arange(9) * 0.4, np.random.default_rng(7).normal(size=9)
     orbit = zo.find_orbit(oscillator(zo.record(times, inputs, period=4.0))).unwrap()
@@ -95,7 +116,7 @@ def test_a_record_may_decay_to_the_least_number(kind: str) -> None:
 def test_samples_are_no_chatter_and_switches_have_a_limit_of_their_own() -> None:
     samples = np.random.default_rng(4).normal(size=30)
     few = SimulationSettings(most_impacts=3)
-    shaken = oscillator(zo.record(np.arange(30) * 0.1, samples))
+    shaken = oscillator(zo.record(np.linspace(0.0, 2.9, 30), samples))
     sampled = zo.load_problem("sampled_pendulum")
     for problem, until in ((shaken, 3.5), (sampled, 5.0)):
         task = SimulationTask(
@@ -227,7 +248,10 @@ WRONG: tuple[tuple[dict[str, Any], str], ...] = (
     ({"time": [0, 1], "samples": [1, math.nan]}, r"`samples` must hold finite numbers"),
     ({"time": [0, 1, 2], "samples": [1, 2]}, "3 times and 2 samples"),
     ({"time": [0, 1], "samples": [1, 2], "period": 0.5}, "must not be shorter than the record"),
-    ({"time": [0, 1], "samples": [1, 2], "period": -2.0}, "must not be shorter than the record"),
+    ({"time": [0, 1], "samples": [1, 2], "period": -2.0}, "must be positive and finite"),
+    ({"time": [0, 1], "samples": [1, 2], "period": 0.0}, "must be positive and finite"),
+    ({"time": [0, 1], "samples": [1, 2], "period": math.nan}, "must be positive and finite"),
+    ({"time": [0, 1], "samples": [1, 2], "period": math.inf}, "must be positive and finite"),
     ({"time": [0, 1], "samples": [1, 2], "period": 1.0}, "must end where it begins"),
     ({"time": [1], "samples": [2]}, "2 to 2000000 times, but it holds 1"),
     ({"time": [0, 1], "samples": [1, 2], "kind": "step"}, "'linear', 'cubic' or 'monotone'"),

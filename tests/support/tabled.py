@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -105,3 +106,25 @@ def followed(times: np.ndarray, inputs: np.ndarray, until: float) -> np.ndarray:
     for dt, u, after in zip(np.diff(marks), values[:-1], values[1:], strict=True):
         x, v = (expm(FLOW * dt) @ np.array([x, v, u, (after - u) / dt]))[:2]
     return np.array([x, v])
+
+
+def moved(force: Any, marks: np.ndarray, until: float) -> np.ndarray:
+    """Return the state at a time from rest, by the response to an impulse.
+
+    Args:
+        force: A force over time, a polynomial between marks.
+        marks: Times around all of the force, ``(n,)``.
+        until: The time. Later marks do not count.
+    """
+    marks = np.append(marks[(marks >= 0.0) & (marks < until)], min(until, float(marks[-1])))
+    marks = np.append(0.0, marks) if marks[0] > 0.0 and force(0.0) != 0.0 else marks
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    halves = np.diff(marks)[:, None] / 2
+    at = (marks[1:] + marks[:-1])[:, None] / 2 + halves * nodes
+    shares = force(at) * weights * halves
+    turn = math.sqrt(1.0 - C**2 / 4)
+    t = until - at
+    decay = np.exp(-C * t / 2)
+    place = decay * np.sin(turn * t) / turn
+    speed = decay * np.cos(turn * t) - C / 2 * place
+    return np.array([np.sum(shares * place), np.sum(shares * speed)])

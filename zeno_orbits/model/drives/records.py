@@ -182,9 +182,9 @@ def _closed(given: Record, period: float) -> Record:
     """
     time, samples = given.time, given.samples
     span = float(time[-1] - time[0])
-    if given.kind == "monotone":
-        raise ValueError("Argument `kind` of a repeated record must be 'linear' or 'cubic'.")
-    if not (math.isfinite(period) and period > 0.0) or span > period * (1.0 + _SAME):
+    if not (math.isfinite(period) and period > 0.0):
+        raise ValueError(f"Argument `period` must be positive and finite, but it is {period:g} s.")
+    if span > period * (1.0 + _SAME):
         raise ValueError(
             f"Argument `period` must not be shorter than the record ({span:g} s), but it is "
             f"{period:g} s."
@@ -205,20 +205,25 @@ def _repeated(given: Record, clock: Clock) -> ca.SX:
     """Return a record as a table of the phase of a clock."""
     period = float(given.period or 0.0)
     phases = (given.time - given.time[0]) * (_TURN / period)
-    from scipy.interpolate import CubicSpline, PPoly
+    from scipy.interpolate import CubicSpline, PchipInterpolator, PPoly
 
+    is_kinked = given.kind != "cubic"
     if given.kind == "cubic":
         made = CubicSpline(phases, given.samples, bc_type="periodic")
+    elif given.kind == "monotone":
+        # The slope at a sample depends on its neighbours alone, also across the end of a turn.
+        around = np.concatenate([[phases[-2] - _TURN], phases, [phases[1] + _TURN]])
+        made = PchipInterpolator(around, given.samples[[-2, *range(len(phases)), 1]])
     else:
         slopes = np.diff(given.samples) / np.diff(phases)
         made = PPoly(np.stack([slopes, given.samples[:-1]]), phases)
     offset = float(np.mod(given.time[0] / period, 1.0)) * _TURN
-    knots = _knots(phases, offset, is_kinked=given.kind == "linear")
+    knots = _knots(phases, offset, is_kinked=is_kinked)
     middles, halves = (knots[1:] + knots[:-1]) / 2, np.diff(knots) / 2
     at = np.mod(middles - offset, _TURN)
     order = made.c.shape[0]
     rows = [made(at, nu=k) / math.factorial(k) for k in range(order)]
-    if given.kind == "linear":
+    if is_kinked:
         lengths = reach_of_cells(knots, turns=True)
     else:
         lengths = reach(knots, _from_knots(np.array(rows), halves)[:, :, None], turns=True)
@@ -228,7 +233,7 @@ def _repeated(given: Record, clock: Clock) -> ca.SX:
         name=f"the record `{given.name}`",
         knots=knots,
         columns=np.vstack([guard, 2 * halves, lengths[0] + halves, lengths[1] - halves, *rows]),
-        is_kinked=given.kind == "linear",
+        is_kinked=is_kinked,
         turns=True,
     )
     found = cells.numbers_of(cells.cell(clock.cosine, clock.sine))
