@@ -121,6 +121,7 @@ from .orbits.orbit_file import write_orbit as write_orbit
 from .orbits.orbit import Orbit as Orbit
 from .orbits.orbit_file import orbit_from_json as orbit_from_json
 from .orbits.shape import EventSequence as EventSequence
+from .maps.corners import LoopCorner as LoopCorner
 from .maps.feedback import Feedback as Feedback
 from .maps.feedback import HeldMotion as HeldMotion
 from .orbits.events.named_map import ReturnMap as ReturnMap
@@ -203,6 +204,7 @@ __all__ = [
     "InputError",
     "LawComparison",
     "LawFit",
+    "LoopCorner",
     "MaxMargin",
     "MaxPush",
     "MinBounceTime",

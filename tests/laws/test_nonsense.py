@@ -289,6 +289,7 @@ RESULTS = (
         "HeldFamilies",
         "HeldMotion",
         "HeldPoint",
+        "LoopCorner",
         "ReturnMap",
         "ReturnSlopes",
         "Scatter",

@@ -29,6 +29,8 @@ def design_feedback(
     weight: float = 1e-3,
     multipliers: Sequence[float | complex] | None = None,
     delay: bool = False,
+    uncertain: Mapping[str, tuple[float, float]] | None = None,
+    on_progress: Progress = silent,
 ) -> Feedback:
     """Return inputs once per period that keep an orbit, also one that repels.
 
@@ -40,11 +42,15 @@ def design_feedback(
         section: Event at which the inputs are set. The default is the event at which the orbit
             starts.
         method: ``lqr`` minimizes the sum of squares of inputs and states, ``place`` gives the loop
-            `multipliers`, and ``deadbeat`` gives it multipliers zero.
+            `multipliers`, and ``deadbeat`` gives it multipliers zero. ``robust`` minimizes the
+            largest spectral radius in the orbit and at all corners of `uncertain`.
         weight: Cost of a state of its largest value per cost of an input of its own value, of
             ``lqr``.
         multipliers: Multipliers of the loop, of ``place``.
         delay: Apply the inputs one return after their measurement.
+        uncertain: Name to range of uncertain parameters. The result has the loop at the corners of
+            these ranges, with parameters that are derived from them derived.
+        on_progress: Called with the stage and the part of it that is done.
 
     Raises:
         InputError: If an argument is invalid, an input moves the section, or the inputs do not
@@ -58,7 +64,14 @@ def design_feedback(
     known = problem_of(orbit, problem)
     returns = return_map_of(known, orbit, section=section)
     return feedback_of(
-        returns, inputs, method=method, weight=weight, multipliers=multipliers, delay=delay
+        returns,
+        inputs,
+        method=method,
+        weight=weight,
+        multipliers=multipliers,
+        delay=delay,
+        uncertain=uncertain,
+        on_progress=on_progress,
     )
 
 

@@ -3,6 +3,7 @@ from .attractors import ORBITS as ORBITS
 from .attractors import Attractor as Attractor
 from .attractors import AttractorClass as AttractorClass
 from .classify import attractors_at as attractors_at
+from .corners import LoopCorner as LoopCorner
 from .disturbance_files import read_pushes as read_pushes
 from .disturbance_files import read_recovery as read_recovery
 from .disturbance_files import require_pushes_of as require_pushes_of

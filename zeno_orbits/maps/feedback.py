@@ -11,7 +11,8 @@ state of the loop is :math:`(y_k, u_k)`, with the derivatives
 .. math:: \begin{pmatrix} A & B \\ 0 & 0 \end{pmatrix}, \qquad \begin{pmatrix} 0 \\ I \end{pmatrix}.
 
 A multiplier :math:`\mu` is controllable if :math:`(A - \mu I \;\; B)` has full rank (Hautus).
-States are measured in their largest values, inputs in their own.
+States are measured in their largest values, inputs in their own. `corners` has the loop where the
+parameters are not those of the model.
 """
 
 from __future__ import annotations
@@ -35,7 +36,15 @@ from zeno_orbits.errors import (
     number_range,
     shown,
 )
-from zeno_orbits.model import HeldLaw, Problem, held_file, load_problem, with_held_inputs
+from zeno_orbits.maps.corners import LoopCorner, UncertainLoop, require_orbit_inside
+from zeno_orbits.model import (
+    HeldLaw,
+    Problem,
+    check_uncertain,
+    held_file,
+    load_problem,
+    with_held_inputs,
+)
 from zeno_orbits.orbits import ReturnMap
 from zeno_orbits.work import (
     ByValue,
@@ -50,7 +59,7 @@ from zeno_orbits.work import (
 
 Inputs = Sequence[str] | Mapping[str, tuple[float, float] | None]
 """Gains and parameters that are held, with or without their ranges."""
-METHODS = ("lqr", "place", "deadbeat")
+METHODS = ("lqr", "place", "deadbeat", "robust")
 _RANK = 1e-9
 """Relative singular value below which a multiplier does not depend on the inputs."""
 _NONE = 1e-9
@@ -91,6 +100,7 @@ class Feedback(TableRepr):
         delay: True if inputs are applied one return after their measurement.
         controllability: Smallest singular value of each multiplier's matrix, relative to the
             largest one of the loop. It is zero if the inputs do not change the multiplier.
+        corners: The loop at the corners of uncertain parameters.
     """
 
     returns: ReturnMap
@@ -100,6 +110,7 @@ class Feedback(TableRepr):
     limits: tuple[tuple[float, float], ...]
     delay: bool
     controllability: Vector
+    corners: tuple[LoopCorner, ...] = ()
 
     def __repr__(self) -> str:
         """Return one line: the inputs and the spectral radius without and with them."""
@@ -145,6 +156,27 @@ class Feedback(TableRepr):
     def stable(self) -> bool:
         """True if all multipliers of the loop are inside the unit circle."""
         return _radius(self.multipliers) < 1.0
+
+    @property
+    def worst(self) -> float:
+        """Largest spectral radius of the loop in the orbit and at all corners.
+
+        It is infinite if the loop lacks an orbit at a corner.
+        """
+        return max(_radius(self.multipliers), *(one.spectral_radius for one in self.corners), 0.0)
+
+    @property
+    def worst_at(self) -> dict[str, float]:
+        """Uncertain parameters of the worst corner, empty if the orbit itself is the worst."""
+        for one in self.corners:
+            if one.spectral_radius == self.worst > _radius(self.multipliers):
+                return dict(one.parameters)
+        return {}
+
+    @property
+    def robust(self) -> bool:
+        """True if all multipliers of the loop are inside the unit circle, also at each corner."""
+        return self.worst < 1.0
 
     @property
     def law(self) -> HeldLaw:
@@ -448,6 +480,7 @@ class Feedback(TableRepr):
             "open_loop": [[mu.real, mu.imag] for mu in known.multipliers],
             "closed_loop": [[mu.real, mu.imag] for mu in self.multipliers],
             "controllability": self.controllability.tolist(),
+            "corners": [one.as_json() for one in self.corners],
             "versions": dict(versions()),
         }
 
@@ -460,6 +493,8 @@ def feedback_of(
     weight: float = 1e-3,
     multipliers: Sequence[float | complex] | None = None,
     delay: bool = False,
+    uncertain: Mapping[str, tuple[float, float]] | None = None,
+    on_progress: Progress = silent,
 ) -> Feedback:
     """Return a feedback that keeps an orbit.
 
@@ -468,11 +503,16 @@ def feedback_of(
         inputs: Gains and parameters that are held from return to return, with their ranges. The
             default range is the declared one.
         method: ``lqr`` minimizes the sum of squares of inputs and states, ``place`` gives the loop
-            `multipliers`, and ``deadbeat`` gives it multipliers zero.
+            `multipliers`, and ``deadbeat`` gives it multipliers zero. ``robust`` minimizes the
+            largest spectral radius in the orbit and at all corners of `uncertain`, from the gain of
+            ``lqr`` on.
         weight: Cost of a state of its largest value per cost of an input of its own value, of
             ``lqr``. Without a cost, multipliers outside of the unit circle become their inverses.
         multipliers: Multipliers of the loop, of ``place``.
         delay: Apply the inputs one return after their measurement.
+        uncertain: Name to range of uncertain parameters. Each method computes the loop at their
+            corners, with parameters that are derived from them derived.
+        on_progress: Called with the stage and the part of it that is done.
 
     Raises:
         InputError: If an argument is invalid, an input moves the section, or the inputs do not
@@ -480,6 +520,7 @@ def feedback_of(
     """
     names = _checked_inputs(returns, inputs)
     _require_method(method, weight, multipliers)
+    box = _checked_ranges(returns, names, method, uncertain)
     a, b = _loop(returns, names, delay)
     centre = np.array([returns.values.number(name) for name in names])
     units = _input_sizes(centre)
@@ -487,21 +528,28 @@ def feedback_of(
     scaled_a, scaled_b = a * sizes / sizes[:, None], b * units / sizes[:, None]
     known = eigenvalues(scaled_a)
     grip = np.array([_grip(scaled_a, scaled_b, mu) for mu in known])
-    if method == "lqr":
+    if method in ("lqr", "robust"):
         _require_grip(names, known, grip, 1.0)
         scaled = _lqr(scaled_a, scaled_b, weight)
     else:
         _require_grip(names, known, grip, _NONE)
         scaled = _placed(scaled_a, scaled_b, multipliers)
         _require_reached(eigenvalues(scaled_a - scaled_b @ scaled), multipliers or ())
+    limits = tuple(_range_of(returns, inputs, name) for name in names)
+    loop = UncertainLoop(
+        returns=returns, inputs=names, centre=centre, limits=limits, delay=delay, uncertain=box
+    )
+    each = units[:, None] / sizes
+    gain = loop.best(scaled * each, each, on_progress) if method == "robust" else scaled * each
     return Feedback(
         returns=returns,
         inputs=names,
         method=method,
-        gain=scaled * units[:, None] / sizes,
-        limits=tuple(_range_of(returns, inputs, name) for name in names),
+        gain=gain,
+        limits=limits,
         delay=delay,
         controllability=grip,
+        corners=loop.corners(gain),
     )
 
 
@@ -538,6 +586,29 @@ def _checked_inputs(returns: ReturnMap, inputs: Inputs) -> tuple[str, ...]:
                 "leaves it when the value changes. Take the section of another event (`section`)."
             )
     return names
+
+
+def _checked_ranges(
+    returns: ReturnMap,
+    inputs: Sequence[str],
+    method: str,
+    uncertain: Mapping[str, tuple[float, float]] | None,
+) -> dict[str, tuple[float, float]]:
+    """Return uncertain ranges as floats.
+
+    Raises:
+        InputError: If one is invalid, lacks the value of the orbit, or is an input, or the method
+            needs one.
+    """
+    box = {
+        name: number_range("uncertain", ends, name)
+        for name, ends in named_numbers("uncertain", uncertain).items()
+    }
+    if method == "robust" and not box:
+        raise InputError("Argument `uncertain` is needed by the method `robust`.")
+    check_uncertain(box, returns.problem, {})
+    require_orbit_inside(box, returns, inputs)
+    return box
 
 
 def _require_method(

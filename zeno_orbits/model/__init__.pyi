@@ -90,3 +90,5 @@ from .scale import UNIT_SCALES as UNIT_SCALES
 from .expressions.units import in_si as in_si
 from .expressions.units import powers_of as powers_of
 from .expressions.units import unit_quotient as unit_quotient
+from .uncertain import check_uncertain as check_uncertain
+from .uncertain import corners_of as corners_of

@@ -13,7 +13,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.errors import InputError, any_number, named_numbers, not_known, number_range
@@ -102,6 +101,8 @@ class Objective(ABC):
     @property
     def trial_corners(self) -> list[dict[str, float]]:
         """The corners of the ranges at which every trial has an orbit, name to value."""
+        from zeno_orbits.model import corners_of
+
         return corners_of(self.parameter_ranges)
 
     @property
@@ -231,6 +232,8 @@ class WorstCase(Objective, Checked):
     @property
     def corners(self) -> list[dict[str, float]]:
         """The corners of the uncertain ranges, name to value. Empty without a range."""
+        from zeno_orbits.model import corners_of
+
         return corners_of(self.uncertain)
 
     @property
@@ -246,6 +249,8 @@ class WorstCase(Objective, Checked):
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject ranges without a meaning."""
+        from zeno_orbits.model import check_uncertain
+
         check_uncertain(self.uncertain, problem, free)
 
 
@@ -707,62 +712,6 @@ class MinBounceTime(OfImpacts):
     def what(self) -> str:
         """The quantity in words."""
         return "bounce time"
-
-
-def corners_of(uncertain: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
-    """Return the corners of uncertain ranges, name to value. Empty without a range.
-
-    Args:
-        uncertain: Name to range of the uncertain parameters.
-    """
-    if not uncertain:
-        return []
-    return [dict(zip(uncertain, corner, strict=True)) for corner in product(*uncertain.values())]
-
-
-def check_uncertain(
-    uncertain: Mapping[str, tuple[float, float]],
-    problem: Problem,
-    free: Mapping[str, tuple[float, float]],
-) -> None:
-    """Reject uncertain ranges without a meaning.
-
-    Args:
-        uncertain: Name to range of the uncertain parameters.
-        problem: The problem.
-        free: Name to range of the decision variables.
-
-    Raises:
-        InputError: If there are too many ranges, a name is unknown or free, a range is empty, or a
-            corner has invalid parameters.
-    """
-    from zeno_orbits.model import unknown
-
-    if len(uncertain) > _MOST_UNCERTAIN:
-        wanted = f"must have at most {_MOST_UNCERTAIN} ranges, but it has {len(uncertain)}"
-        raise InputError(f"Argument `uncertain` {wanted}.")
-    known = tuple(one.name for one in problem.parameters)
-    for name, (low, high) in uncertain.items():
-        if name not in known:
-            raise InputError(unknown("uncertain", name, known))
-        if name in free:
-            raise InputError(f"Argument `uncertain` must not name the unknown `{name}`.")
-        if not low < high:
-            wanted = f"must have a lower end below its upper end for `{name}`"
-            raise InputError(f"Argument `uncertain` {wanted}, but it is {low:g}:{high:g}.")
-    for corner in corners_of(uncertain):
-        try:
-            problem.values(parameters=corner)
-        except InputError as error:
-            if not str(error).startswith("Argument `parameters`"):
-                raise
-            where = ", ".join(f"{name} = {value:g}" for name, value in corner.items())
-            wanted = f"must leave valid parameters at the corner {where}"
-            raise InputError(f"Argument `uncertain` {wanted}, but: {error}") from error
-
-
-_MOST_UNCERTAIN = 4
-"""Largest number of uncertain parameters. Each doubles the time."""
 
 
 class Operand(Enum):

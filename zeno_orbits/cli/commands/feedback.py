@@ -10,6 +10,7 @@ from zeno_orbits import api
 from zeno_orbits.cli.options import (
     NO,
     YES,
+    Named,
     add_command,
     add_orbit,
     add_shared,
@@ -17,7 +18,14 @@ from zeno_orbits.cli.options import (
     say_written,
 )
 from zeno_orbits.cli.outputs import JSON, PICTURE, PYTHON, require_outputs
-from zeno_orbits.cli.parsing import read_input, read_multipliers, read_named_number, read_number
+from zeno_orbits.cli.parsing import (
+    read_input,
+    read_multipliers,
+    read_named_number,
+    read_number,
+    read_range,
+)
+from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 
@@ -33,6 +41,8 @@ def add_feedback(commands: Any) -> None:
             "zeno-orbits feedback orbit.json --input Kp --input Kd --method deadbeat",
             "zeno-orbits feedback orbit.json --input Kd --extent -o feedback.json",
             "zeno-orbits feedback orbit.json --input Kd --error dtheta1=0.02",
+            "zeno-orbits feedback orbit.json --input Kd --method robust "
+            "--uncertain restitution=0.4:0.5",
             "zeno-orbits feedback orbit.json --input Kd --machine held.py",
         ],
     )
@@ -55,8 +65,9 @@ def add_feedback(commands: Any) -> None:
     add_shared(
         parser,
         "method",
-        ": lqr (least squares), place (chosen multipliers) or deadbeat (zero) (default: lqr)",
-        choices=("lqr", "place", "deadbeat"),
+        ": lqr (least squares), place (chosen multipliers), deadbeat (zero) or robust (least "
+        "largest multiplier at the corners of --uncertain) (default: lqr)",
+        choices=("lqr", "place", "deadbeat", "robust"),
         default="lqr",
     )
     parser.add_argument(
@@ -71,6 +82,14 @@ def add_feedback(commands: Any) -> None:
         type=read_multipliers,
         metavar="MU,...",
         help="with place: multipliers of the loop, such as 0.2,0.1 or 0.2+0.1j,0.2-0.1j",
+    )
+    parser.add_argument(
+        "--uncertain",
+        action=Named,
+        type=read_range,
+        metavar="NAME=LOW:HIGH",
+        help="range of an uncertain parameter: also compute the loop at the corners of these "
+        "ranges, where the law has the centre of the orbit (repeatable)",
     )
     parser.add_argument(
         "--delay", action="store_true", help="apply inputs one return after their measurement"
@@ -104,6 +123,8 @@ def add_feedback(commands: Any) -> None:
 def _run_feedback(options: argparse.Namespace) -> int:
     outputs = {"output": JSON, "picture": PICTURE, "machine": PYTHON}
     require_outputs(options, outputs, reads=[options.orbit])
+    if options.method == "robust" and not options.uncertain:
+        raise InputError("Argument `--method robust` must have --uncertain NAME=LOW:HIGH.")
     with report.ProgressLine(options.interrupts.check) as progress:
         found = api.design_feedback(
             options.orbit,
@@ -114,6 +135,8 @@ def _run_feedback(options: argparse.Namespace) -> int:
             weight=options.weight,
             multipliers=options.multipliers,
             delay=options.delay,
+            uncertain=options.uncertain,
+            on_progress=progress,
         )
         extents = {
             name: found.extent(name, on_progress=progress)
@@ -132,7 +155,7 @@ def _run_feedback(options: argparse.Namespace) -> int:
 
     hand_out(options, _Data(found, extents, errors, acts), show)
     say_written(options, [] if options.machine is None else [options.machine])
-    return YES if found.stable else NO
+    return YES if found.robust else NO
 
 
 class _Data:

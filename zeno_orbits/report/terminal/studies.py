@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from zeno_orbits.maps import (
         Attractor,
         Feedback,
+        LoopCorner,
         ParameterMap,
         Pushes,
         Recovery,
@@ -301,6 +302,8 @@ def print_feedback(found: Feedback, extents: Mapping[str, tuple[float, float]]) 
     )
     print_lines([f"Multipliers without it: {before}", f"Multipliers with it:    {after}"])
     print_lines(_ends_of_ranges(found))
+    if found.corners:
+        _print_corners(found)
     if extents:
         columns: list[TableColumn[str]] = [
             name_column("coordinate", lambda name: name),
@@ -310,6 +313,41 @@ def print_feedback(found: Feedback, extents: Mapping[str, tuple[float, float]]) 
             text_column("unit", lambda name: known.units[name]),
         ]
         print_table(columns, list(extents))
+
+
+def _print_corners(found: Feedback) -> None:
+    """Print a loop at the corners of its uncertain parameters, with the worst one."""
+    parameters = list(found.corners[0].parameters)
+    columns: list[TableColumn[LoopCorner]] = [
+        *(
+            number_column(name, lambda one, name=name: f"{one.parameters[name]:g}")
+            for name in parameters
+        ),
+        text_column("multipliers with it", _corner_multipliers),
+        *(
+            number_column(
+                f"{name} there", lambda one, k=k: "" if one.lost else f"{one.inputs[k]:.7g}"
+            )
+            for k, name in enumerate(found.inputs)
+        ),
+    ]
+    print_table(columns, found.corners)
+    lost = [one for one in found.corners if one.lost]
+    print_lines([f"No orbit at {_listed(one.parameters)}: {one.lost}" for one in lost])
+    where = _listed(found.worst_at) or "the values of the orbit"
+    size = f"modulus {found.worst:.6g}" if not lost else "no orbit"
+    keeps = "keeps an orbit at every corner" if found.robust else "does not keep an orbit there"
+    print_lines([f"Worst case: {size} at {where}. The loop {keeps}."])
+
+
+def _corner_multipliers(one: LoopCorner) -> str:
+    if one.lost:
+        return "no orbit"
+    return shown_multipliers(one.multipliers, 0.0, 6) or "none"
+
+
+def _listed(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {value:g}" for name, value in values.items())
 
 
 def print_reading_errors(
