@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,20 @@ class Controller:
         return held, voltages
 
 
+def readings(run: zo.Execution) -> Iterator[tuple[float, Vector, bool, Vector | None]]:
+    """Yield time, state and contact of a motion, and the state after an event that sets states."""
+    for arc in run.arcs:
+        if not arc.duration > 0.0 or arc.trajectory is None:
+            continue
+        times = np.linspace(arc.start_time, arc.end_time, 9)[1:]
+        for time, x in zip(times.tolist(), arc.states_at(times), strict=True):
+            if time < times[-1] or arc.ending.value != "release":
+                yield time, x, bool(arc.closed), None
+        for event in run.switches:
+            if event.time == arc.end_time:
+                yield event.time, event.state_minus, False, event.state_plus
+
+
 @needs_compiler
 @pytest.mark.parametrize("periods", [6, pytest.param(100, marks=pytest.mark.slow)])
 def test_the_controller_sets_what_the_machine_sets(periods: int, tmp_path: Path) -> None:
@@ -69,24 +84,12 @@ def test_the_controller_sets_what_the_machine_sets(periods: int, tmp_path: Path)
     names = PENDULUM.state_names
     kd, gain, angle = (names.index(one) for one in ("held_Kd", "dtheta1", "theta1"))
     n_set, last = 0, KD
-    for arc in run.arcs:
-        if not arc.duration > 0.0 or arc.trajectory is None:
-            continue
-        times = np.linspace(arc.start_time, arc.end_time, 9)[1:]
-        for time, x in zip(times, arc.states_at(times), strict=True):
-            closed = [bool(arc.closed)]
-            if time == times[-1] and arc.ending.value == "release":
-                continue
-            held, voltages = controller.step(float(time), x, closed)
-            assert held[0] == last
-            assert voltages[0] == -(held[0] * x[gain] + 2.5 * x[angle])
-        for event in run.switches:
-            if event.time == arc.end_time:
-                held, _ = controller.step(event.time, event.state_minus, [False])
-                # A Zeno point and dense output round a constant state.
-                last = event.state_plus[kd]
-                assert held[0] == last
-                n_set += 1
+    for time, x, closed, after in readings(run):
+        held, voltages = controller.step(time, x, [closed])
+        # A Zeno point and dense output round a constant state.
+        n_set, last = (n_set, last) if after is None else (n_set + 1, after[kd])
+        assert held[0] == last
+        assert voltages[0] == -(held[0] * x[gain] + 2.5 * x[angle])
     assert n_set == len(run.releases) >= periods - 1
     # Disturbances decay by a third in a period, down to rounding.
     assert abs(run.switches[-1].state_plus[kd] - KD) < (1e-3 if periods < 10 else 1e-12)
@@ -121,7 +124,10 @@ def test_the_command_writes_the_controller_of_held_states_alone(tmp_path: Path) 
     ]
     for arguments, told in (
         (("motor_pendulum", "--controller"), "no event sets a held state of `motor_pendulum`"),
-        (("sampled_pendulum", "--controller", "--fmu"), "--controller: must be left out"),
+        (
+            ("sampled_pendulum", "--controller", "--fmu", "--input", "Kd"),
+            "--input: must be left out with `--controller`",
+        ),
         (("sampled_pendulum", "--persists", "0.1"), "--persists: belongs to `--controller`"),
         (("sampled_pendulum", "--controller", "--persists", "-1"), "--persists: must be positive"),
     ):

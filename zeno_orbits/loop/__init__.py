@@ -6,7 +6,8 @@ reference. A test compares both, event by event. `source` and `library` find or 
 
 Offers: `program_of` a problem's functions. A `LoopRun` with `RunSettings` returns a `LoopRecord`.
 `loop_account` and `refusals` describe the library in use. `controller_files` of an
-`ExportedController` (`controller_of` a machine) are its held states in C.
+`ExportedController` (`controller_of` a machine) are its held states in C, and the
+`exported_controller_unit` of a `ControllerUnit` is its unit.
 
 Imports: model, integrators, work, arrays, errors.
 """

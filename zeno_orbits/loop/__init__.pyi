@@ -1,6 +1,8 @@
 from .controller import ExportedController as ExportedController
 from .controller import controller_files as controller_files
 from .controller import controller_of as controller_of
+from .controller_unit import ControllerUnit as ControllerUnit
+from .controller_unit import exported_controller_unit as exported_controller_unit
 from .export import ExportedRun as ExportedRun
 from .export import exported_files as exported_files
 from .formulas import machine_source as machine_source

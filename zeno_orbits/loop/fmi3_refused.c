@@ -24,8 +24,12 @@ NO_VALUES(UInt16, uint16_t)
 NO_VALUES(UInt32, uint32_t)
 NO_VALUES(Int64, int64_t)
 NO_VALUES(UInt64, uint64_t)
-NO_VALUES(Boolean, bool)
 NO_VALUES(String, const char *)
+#ifdef HAS_BOOLEAN
+NO_VALUES(Int32, int32_t)
+#else
+NO_VALUES(Boolean, bool)
+#endif
 
 /* A function with given parameters and their names. */
 #define REFUSED(NAME, PARAMETERS, NAMES)                                                           \
@@ -35,8 +39,10 @@ NO_VALUES(String, const char *)
         return fail(unit, "The unit does not offer fmi3" #NAME);                                   \
     }
 
+#ifndef HAS_BOOLEAN
 REFUSED(SetInt32, (I unit, Refs a, size_t b, const int32_t c[], size_t d),
         ((void)a, (void)b, (void)c, (void)d))
+#endif
 REFUSED(GetBinary, (I unit, Refs a, size_t b, size_t c[], const uint8_t *d[], size_t e),
         ((void)a, (void)b, (void)c, (void)d, (void)e))
 REFUSED(SetBinary, (I unit, Refs a, size_t b, const size_t c[], const uint8_t *const d[], size_t e),

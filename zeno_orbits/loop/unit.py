@@ -12,7 +12,7 @@ import math
 import platform
 import sys
 import zipfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import NamedTuple
@@ -42,6 +42,8 @@ _MEANINGS = {
     "zeno_points": "number of Zeno points so far",
     "zeno_time": "time of the last Zeno point, NaN before the first",
 }
+TOKEN = "{token}"
+TOKEN_LINE = f'#define INSTANTIATION_TOKEN "{TOKEN}"\n'
 _DATE = (1980, 1, 1, 0, 0, 0)
 """Of the files in the zip: the same problem gives the same bytes."""
 
@@ -110,15 +112,27 @@ def exported_unit(program: GraphProgram, unit: ExportedUnit) -> tuple[bytes, str
         InputError: If an input is not a gain or a parameter.
     """
     unit.require_inputs()
-    stem = stem_of(unit.run.name)
     files = exported_files(program, unit.run)
     del files["main.c"]
     files["fmi3.c"] = _interface(unit)
-    token = _token(files)
-    files["fmi3.c"] = files["fmi3.c"].replace("{token}", token)
+    return packed(stem_of(unit.run.name), files, lambda token: _description(unit, token))
+
+
+def packed(
+    stem: str, sources: Mapping[str, str], description: Callable[[str], str]
+) -> tuple[bytes, str]:
+    """Return a unit as the bytes of a file `.fmu`, and the reason if it lacks a library.
+
+    Args:
+        stem: Identifier of the model.
+        sources: C code by file name. ``fmi3.c`` includes all of it, and has `TOKEN` for the token.
+        description: Function of the token that returns ``modelDescription.xml``.
+    """
+    token = _token(sources)
+    files = {**sources, "fmi3.c": sources["fmi3.c"].replace(TOKEN, token)}
     library, reason = _library(files)
     content = {
-        "modelDescription.xml": _description(unit, token).encode(),
+        "modelDescription.xml": description(token).encode(),
         "sources/buildDescription.xml": _BUILD.format(stem=stem).encode(),
         **{f"sources/{name}": text.encode() for name, text in files.items()},
     }
@@ -161,7 +175,7 @@ def _tables(unit: ExportedUnit) -> str:
         ],
     }
     lines = (c_array(head, entries) for head, entries in tables.items())
-    return "".join(('#define INSTANTIATION_TOKEN "{token}"\n', *lines))
+    return "".join((TOKEN_LINE, *lines))
 
 
 _UNBOUNDED = ParameterRange(-math.inf, math.inf, "")
@@ -229,13 +243,14 @@ _BUILD = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 @dataclass(frozen=True, slots=True)
-class _Variable:
+class Variable:
     """A variable of the description: its type, and its attributes in order."""
 
     kind: str
     attributes: dict[str, str]
 
     def text(self) -> str:
+        """Return the element of XML."""
         words = " ".join(f"{name}={quoteattr(value)}" for name, value in self.attributes.items())
         return f"    <{self.kind} {words}/>\n"
 
@@ -244,22 +259,46 @@ def _description(unit: ExportedUnit, token: str) -> str:
     """Return `modelDescription.xml`."""
     run = unit.run
     variables = list(_variables(unit))
+    stop, relative = run.settings[0].until, run.settings[0].relative
+    experiment = (
+        f'  <DefaultExperiment startTime="0" stopTime="{stop!r}" tolerance="{relative!r}" '
+        f'stepSize="{stop / 1000!r}"/>\n'
+    )
+    return described(run.name, stem_of(run.name), token, unit.generator, variables, experiment)
+
+
+def described(
+    name: str,
+    stem: str,
+    token: str,
+    generator: str,
+    variables: Sequence[Variable],
+    experiment: str = "",
+) -> str:
+    """Return ``modelDescription.xml`` of a unit for co-simulation.
+
+    Args:
+        name: Name of the model.
+        stem: Its identifier.
+        token: The token of the unit.
+        generator: Program and version that created the unit.
+        variables: Its variables, in the order of their references.
+        experiment: Line of the default experiment, or empty.
+    """
     outputs = [one for one in variables if one.attributes["causality"] == "output"]
     known = [one for one in outputs if one.attributes.get("initial") == "calculated"]
-    stop, relative = run.settings[0].until, run.settings[0].relative
     units = sorted({one.attributes["unit"] for one in variables if "unit" in one.attributes})
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>\n<fmiModelDescription fmiVersion="3.0" ',
-        f"modelName={quoteattr(run.name)} instantiationToken={quoteattr(token)} ",
-        f"generationTool={quoteattr(unit.generator)} variableNamingConvention=",
-        f'"flat">\n  <CoSimulation modelIdentifier={quoteattr(stem_of(run.name))} ',
+        f"modelName={quoteattr(name)} instantiationToken={quoteattr(token)} ",
+        f"generationTool={quoteattr(generator)} variableNamingConvention=",
+        f'"flat">\n  <CoSimulation modelIdentifier={quoteattr(stem)} ',
         'canHandleVariableCommunicationStepSize="true" canGetAndSetFMUState="true"/>\n',
-        "  <UnitDefinitions>\n",
-        *(f"    <Unit name={quoteattr(name)}/>\n" for name in units),
-        "  </UnitDefinitions>\n",
+        "  <UnitDefinitions>\n" if units else "",
+        *(f"    <Unit name={quoteattr(one)}/>\n" for one in units),
+        "  </UnitDefinitions>\n" if units else "",
         '  <LogCategories>\n    <Category name="logStatusError"/>\n  </LogCategories>\n',
-        f'  <DefaultExperiment startTime="0" stopTime="{stop!r}" tolerance="{relative!r}" ',
-        f'stepSize="{stop / 1000!r}"/>\n  <ModelVariables>\n',
+        f"{experiment}  <ModelVariables>\n",
         *(one.text() for one in variables),
         "  </ModelVariables>\n  <ModelStructure>\n",
         *(f"    <Output valueReference={_reference(one)}/>\n" for one in outputs),
@@ -269,26 +308,26 @@ def _description(unit: ExportedUnit, token: str) -> str:
     return "".join(lines)
 
 
-def _reference(variable: _Variable) -> str:
+def _reference(variable: Variable) -> str:
     return quoteattr(variable.attributes["valueReference"])
 
 
-def _variables(unit: ExportedUnit) -> Iterator[_Variable]:
+def _variables(unit: ExportedUnit) -> Iterator[Variable]:
     """Yield the variables in the order of their references."""
     run, taken = unit.run, {"time", *unit.run.state_names, *unit.run.parameter_names}
     independent = {"causality": "independent", "variability": "continuous"}
-    yield _Variable("Float64", {"name": "time", "valueReference": "0", **independent})
+    yield Variable("Float64", {"name": "time", "valueReference": "0", **independent})
     counter = count(1)
     for name, value in zip(run.state_names, run.state.tolist(), strict=True):
         kind = {"causality": "output", "variability": "continuous", "initial": "exact"}
-        yield _Variable("Float64", _attributes(unit, name, next(counter), value, kind))
+        yield Variable("Float64", _attributes(unit, name, next(counter), value, kind))
     for name, value in zip(run.parameter_names, run.values.tolist(), strict=True):
         kind = {"causality": "parameter", "variability": "fixed", "initial": "exact"}
         if name in unit.inputs:
             kind = {"causality": "input", "variability": "discrete"}
         elif name in unit.tunable:
             kind["variability"] = "tunable"
-        yield _Variable("Float64", _attributes(unit, name, next(counter), value, kind))
+        yield Variable("Float64", _attributes(unit, name, next(counter), value, kind))
     discrete = {"causality": "output", "variability": "discrete", "initial": "calculated"}
     several = len(run.stop_names) > 1
     for own, stop in [
@@ -302,7 +341,7 @@ def _variables(unit: ExportedUnit) -> Iterator[_Variable]:
             powers = (f"{2**k} for {stop}" for k, stop in enumerate(run.stop_names))
             meaning = f"sum over the closed stops: {', '.join(powers)}"
         words = {"name": name, "valueReference": str(next(counter)), "description": meaning}
-        yield _Variable("Float64" if own == "zeno_time" else "Int32", {**words, **discrete})
+        yield Variable("Float64" if own == "zeno_time" else "Int32", {**words, **discrete})
 
 
 def _attributes(

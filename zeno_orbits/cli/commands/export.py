@@ -25,7 +25,8 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.loop import ExportedRun, GraphProgram
+    from zeno_orbits.arrays import Vector
+    from zeno_orbits.loop import ExportedController, ExportedRun, GraphProgram
     from zeno_orbits.model import ParameterValues, Problem
 
 
@@ -41,6 +42,7 @@ def add_export(commands: Any) -> None:
             "zeno-orbits export bouncing_ball --set restitution=0.7 --until 5 -o exported",
             "zeno-orbits export motor_pendulum --fmu -o exported",
             "zeno-orbits export sampled_pendulum --controller -o exported",
+            "zeno-orbits export sampled_pendulum --controller --fmu -o exported",
         ],
     )
     add_problem(parser)
@@ -50,7 +52,8 @@ def add_export(commands: Any) -> None:
     parser.add_argument(
         "--fmu",
         action="store_true",
-        help="write a co-simulation unit of FMI 3.0 instead, its library for this machine",
+        help="write a co-simulation unit of FMI 3.0 instead, its library for this machine; with "
+        "--controller the unit of the controller",
     )
     parser.add_argument(
         "--controller",
@@ -83,13 +86,12 @@ def add_export(commands: Any) -> None:
 def _run_export(options: argparse.Namespace) -> int:
     from zeno_orbits.loop import exported_files
     from zeno_orbits.model import load_problem
-    from zeno_orbits.work import write_all
 
     require_outputs(options, {"output": FOLDER})
     if options.input and not options.fmu:
         raise InputError("Argument `--input` belongs to `--fmu`, which is missing.")
-    if options.fmu and options.controller:
-        raise InputError("Argument `--controller` must be left out with `--fmu`.")
+    if options.input and options.controller:
+        raise InputError("Argument `--input` must be left out with `--controller`.")
     if options.persists is not None and not options.controller:
         raise InputError("Argument `--persists` belongs to `--controller`, which is missing.")
     problem = load_problem(options.problem)
@@ -105,6 +107,14 @@ def _run_export(options: argparse.Namespace) -> int:
         files, warning = _unit(problem, program, run, options)
     else:
         files = {name: text.encode() for name, text in exported_files(program, run).items()}
+    _hand_out(options, files, warning)
+    return YES
+
+
+def _hand_out(options: argparse.Namespace, files: Mapping[str, bytes], warning: str) -> None:
+    """Write files into the folder, and print their names and a warning."""
+    from zeno_orbits.work import write_all
+
     write_all(options.output, files)
     paths = [options.output / name for name in files]
     if options.json:
@@ -112,7 +122,6 @@ def _run_export(options: argparse.Namespace) -> int:
     elif warning:
         report.print_lines([f"Warning: {warning}."])
     say_written(options, paths)
-    return YES
 
 
 def _write_controller(
@@ -126,19 +135,39 @@ def _write_controller(
     import numpy as np
 
     from zeno_orbits.loop import controller_files, controller_of
-    from zeno_orbits.work import write_all
 
     persists = 0.01 if options.persists is None else options.persists
     if not 0.0 < persists < math.inf:
         raise InputError(f"Argument `--persists` must be positive, but it is {persists:g}.")
     state = np.array(start_of(problem, options))
-    files = controller_files(controller_of(problem, values, state, persists=persists))
-    write_all(options.output, {name: text.encode() for name, text in files.items()})
-    paths = [options.output / name for name in files]
-    if options.json:
-        print_json({"written": [str(path) for path in paths], "warning": None})
-    say_written(options, paths)
+    controller, warning = controller_of(problem, values, state, persists=persists), ""
+    if options.fmu:
+        files, warning = _controller_unit(problem, controller, state)
+    else:
+        files = {name: text.encode() for name, text in controller_files(controller).items()}
+    _hand_out(options, files, warning)
     return YES
+
+
+def _controller_unit(
+    problem: Problem, controller: ExportedController, state: Vector
+) -> tuple[dict[str, bytes], str]:
+    """Return the unit of a controller as file name to bytes, and the reason without a library."""
+    from zeno_orbits import __version__
+    from zeno_orbits.loop import ControllerUnit, exported_controller_unit
+
+    unit = ControllerUnit(
+        controller=controller,
+        state=state,
+        units=dict(zip(problem.state_names, problem.state_units, strict=True)),
+        generator=f"zeno_orbits {__version__}",
+    )
+    content, reason = exported_controller_unit(unit)
+    return {f"{problem.name}_controller.fmu": content}, _without_library(reason)
+
+
+def _without_library(reason: str) -> str:
+    return f"the unit holds its C code only, because {reason}" if reason else ""
 
 
 def _exported(
@@ -232,5 +261,4 @@ def _unit(
         generator=f"zeno_orbits {__version__}",
     )
     content, reason = exported_unit(program, unit)
-    warning = f"the unit holds its C code only, because {reason}" if reason else ""
-    return {f"{problem.name}.fmu": content}, warning
+    return {f"{problem.name}.fmu": content}, _without_library(reason)
