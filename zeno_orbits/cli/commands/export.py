@@ -25,7 +25,6 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.arrays import Vector
     from zeno_orbits.loop import ExportedController, ExportedRun, GraphProgram
     from zeno_orbits.model import ParameterValues, Problem
 
@@ -150,7 +149,7 @@ def _write_controller(
 
 
 def _controller_unit(
-    problem: Problem, controller: ExportedController, state: Vector
+    problem: Problem, controller: ExportedController, state: Any
 ) -> tuple[dict[str, bytes], str]:
     """Return the unit of a controller as file name to bytes, and the reason without a library."""
     from zeno_orbits import __version__
