@@ -29,6 +29,7 @@ from zeno_orbits.arrays import Vector, eigenvalues, finite_vector
 from zeno_orbits.errors import (
     InputError,
     SimulationError,
+    SwitchingTimesError,
     did_you_mean,
     finite_number,
     named_numbers,
@@ -66,6 +67,8 @@ _NONE = 1e-9
 """Modulus of a multiplier that is zero: its disturbances are gone after a period."""
 _MISSED = 1e-2
 """Distance of a multiplier of the loop from the wished one. Rounding spreads one that repeats."""
+_LOST = (SimulationError, SwitchingTimesError)
+"""Ends of a motion: it does not return, or an input sets a switching time after the next one."""
 _BACK = 1e-6
 """Distance from the orbit of a motion that has returned, in sizes."""
 
@@ -357,7 +360,7 @@ class Feedback(TableRepr):
                 points.append(point)
                 inputs.append(used)
                 times.append(times[-1] + time)
-        except SimulationError as error:
+        except _LOST as error:
             lost = str(error)
         return HeldMotion(
             points=np.array(points),
@@ -455,7 +458,7 @@ class Feedback(TableRepr):
                 acts = np.max(np.abs(after - self.centre) / _input_sizes(self.centre))
                 if max(off, float(acts)) < _BACK:
                     return True
-        except SimulationError:
+        except _LOST:
             return False
         return False
 
