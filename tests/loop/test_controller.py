@@ -34,9 +34,9 @@ PENDULUM = zo.hold_inputs(
 class Controller:
     """The compiled controller of a machine."""
 
-    def __init__(self, problem: Problem, folder: Path) -> None:
+    def __init__(self, problem: Problem, folder: Path, **window: float) -> None:
         values, state = problem.values(), np.array(problem.initial_state())
-        exported = controller_of(problem, values, state, persists=PERSISTS)
+        exported = controller_of(problem, values, state, persists=PERSISTS, **window)
         for name, text in controller_files(exported).items():
             (folder / name).write_text(text)
         stem, library = f"{problem.name}_controller", folder / "controller.so"
@@ -95,6 +95,56 @@ def test_the_controller_sets_what_the_machine_sets(periods: int, tmp_path: Path)
     assert abs(run.switches[-1].state_plus[kd] - KD) < (1e-3 if periods < 10 else 1e-12)
 
 
+def _after_contact(
+    controller: Controller, readings: Any, x: Vector, times: Vector, end: float
+) -> float:
+    """Return the gain after a contact with these readings of both angles, and its end."""
+    for time, angles in zip(times.tolist(), readings, strict=True):
+        controller.step(time, np.concatenate([angles, x[2:]]), [True])
+    return float(controller.step(end, x, [False])[0][0])
+
+
+@needs_compiler
+@pytest.mark.parametrize("n", [9, 51])
+def test_with_a_window_the_law_acts_on_a_parabola_through_readings(n: int, tmp_path: Path) -> None:
+    window, period = 0.02, 1e-3
+    controller = Controller(PENDULUM, tmp_path, window=window, period=period)
+    names, x = PENDULUM.state_names, np.array(PENDULUM.initial_state())
+    assert names[:4] == ("theta1", "theta2", "dtheta1", "dtheta2")
+    times, rng = 1.0 + period * np.arange(3 * n), np.random.default_rng(n)
+    rate, noise = float(START["dtheta1"]), rng.normal(0.0, 1e-4, (3 * n, 2))
+    away = times - times[-1]
+    exact = np.stack([0.3 + (rate + 0.05) * away + 3 * away**2, 0 * away], axis=1)
+    found = _after_contact(controller, exact + noise, x, times, times[-1] + period)
+    used, end = times > times[-1] - window - period / 2, times[-1] + period / 2
+    fit = np.polynomial.polynomial.polyfit(times[used] - end, (exact + noise)[used, 0], 2)
+    shift = 0.636452854509964 * (fit[1] - rate)
+    assert abs(shift) > 1e-3
+    assert found == pytest.approx(KD - shift, abs=1e-10)
+    # Readings of the flight between two contacts are of another parabola.
+    for time in end + period * np.arange(1, 30):
+        controller.step(float(time), np.concatenate([[7.0, 7.0], x[2:]]), [False])
+    times, end = times + 1.0, times[-1] + 1.0 + period / 2
+    again = _after_contact(controller, exact, x, times, float(times[-1] + period))
+    slope = rate + 0.05 + 6 * period / 2
+    assert again == pytest.approx(KD - 0.636452854509964 * (slope - rate), abs=1e-10)
+
+
+@needs_compiler
+def test_a_contact_of_three_readings_sets_nothing_with_a_window(tmp_path: Path) -> None:
+    x, times = np.array(PENDULUM.initial_state()), np.array([0.0, 5e-3, 1e-2])
+    x[2] = START["dtheta1"] + 0.1
+    angles, held = np.zeros((3, 2)), list[float]()
+    for window in ({}, {"window": 0.05, "period": 5e-3}):
+        folder = tmp_path / str(len(window))
+        folder.mkdir()
+        held.append(
+            _after_contact(Controller(PENDULUM, folder, **window), angles, x, times, 1.5e-2)
+        )
+    assert held[0] == pytest.approx(KD - 0.0636452854509964, rel=1e-12)
+    assert held[1] == KD
+
+
 @needs_compiler
 def test_a_sampled_controller_switches_at_its_samples(tmp_path: Path) -> None:
     problem = zo.load_problem("sampled_pendulum")
@@ -130,6 +180,17 @@ def test_the_command_writes_the_controller_of_held_states_alone(tmp_path: Path) 
         ),
         (("sampled_pendulum", "--persists", "0.1"), "--persists: belongs to `--controller`"),
         (("sampled_pendulum", "--controller", "--persists", "-1"), "--persists: must be positive"),
+        (("sampled_pendulum", "--window", "0.1"), "--window: belongs to `--controller`"),
+        (("sampled_pendulum", "--controller", "--window", "0.1"), "--window: needs `--period`"),
+        (("sampled_pendulum", "--controller", "--period", "0.1"), "--period: needs `--window`"),
+        (
+            ("sampled_pendulum", "--controller", "--window", "-1", "--period", "0.1"),
+            "--window: must be positive",
+        ),
+        (
+            ("sampled_pendulum", "--controller", "--window", "0.01", "--period", "0.004"),
+            "must hold at least 4 readings, which are 0.004 s apart",
+        ),
     ):
         refused = ask("export", *arguments, "-o", str(tmp_path / "none"))
         assert refused.code == MISUSE

@@ -77,7 +77,7 @@ GROUPS = {
     "parallel": ("--workers", "--scheduler", "--checkpoint"),
     "output": (
         *("--output", "--plot", "--boundaries", "--rate", "--noise", "--orbit", "--format"),
-        *("--fmu", "--input", "--controller", "--persists", "--machine"),
+        *("--fmu", "--input", "--controller", "--persists", "--window", "--period", "--machine"),
         *("--events", "--all-states", "--states", "--margins", "--all"),
         *("--json", "--verbose", "--debug", "--help", "--help-all"),
     ),

@@ -1,11 +1,17 @@
-"""The controller of a machine with held states as one C99 file: law, held states and events.
+r"""The controller of a machine with held states as one C99 file: law, held states and events.
 
 It uses only the memory of its caller, and every call takes the same instructions. Its formulas
 are those of the machine, operation by operation, so that all digits are equal.
+
+With a window, coordinates and rates at an event are those of a parabola through the readings of the
+present contact or flight (theory (6.5)). It is the sum of the polynomials 1, :math:`d` and
+:math:`d^2 - \beta d - \gamma` of the distance `d` from the mean time, which are orthogonal on the
+readings. A contact ends in the middle between its last reading and the next one.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +27,8 @@ from zeno_orbits.loop.tape import tape_of
 from zeno_orbits.model import ParameterValues, Problem, dense_function
 
 _WORD = re.compile(r"\W")
+_LEAST, _ROUNDED = 3, 1e-9
+"""Periods of a window at least, and rounding of their number."""
 KINDS = ("impact", "zeno", "release")
 """Events of a stop in the order of the flags of the C code."""
 
@@ -41,6 +49,10 @@ class ExportedController:
         resets: ``(x, p) -> x`` after each of these switches.
         voltage: ``(x, p) -> voltages`` of all motors.
         persists: Duration from which a contact persists [s].
+        n_q: Number of coordinates.
+        window: Time of readings through which a parabola is fitted at an event [s]. Zero takes the
+            reading itself.
+        period: Time between two readings [s], with a window.
     """
 
     name: str
@@ -54,10 +66,24 @@ class ExportedController:
     resets: Sequence[ca.Function]
     voltage: ca.Function
     persists: float
+    n_q: int
+    window: float = 0.0
+    period: float = 0.0
+
+    @property
+    def n_readings(self) -> int:
+        """Number of readings that are kept."""
+        return math.floor(self.window / self.period + _ROUNDED) + 2 if self.window else 0
 
 
 def controller_of(
-    problem: Problem, values: ParameterValues, state: Vector, *, persists: float = 0.01
+    problem: Problem,
+    values: ParameterValues,
+    state: Vector,
+    *,
+    persists: float = 0.01,
+    window: float = 0.0,
+    period: float = 0.0,
 ) -> ExportedController:
     """Return the controller of a machine with held states.
 
@@ -66,10 +92,17 @@ def controller_of(
         values: Values of its gains and parameters.
         state: Start, with the values that are held until the first event, ``(n_x,)``.
         persists: Duration from which a contact persists [s].
+        window: Time of readings through which a parabola is fitted at an event [s], or zero.
+        period: Time between two readings [s], with a window.
 
     Raises:
-        InputError: If no event sets a held state.
+        InputError: If no event sets a held state, or the window holds fewer than four readings.
     """
+    if window and not (period > 0.0 and _LEAST * period <= window * (1 + _ROUNDED) < math.inf):
+        raise InputError(
+            f"Argument `window` must hold at least {_LEAST + 1} readings, which are {period:g} s "
+            f"apart, but it is {window:g} s."
+        )
     compiled = problem.compiled_graph()
     graph, x, p = compiled.graph, compiled.graph.state, compiled.parameters
     held = list(graph.held)
@@ -95,6 +128,9 @@ def controller_of(
         resets=[compiled.resets[k] for k in own],
         voltage=dense_function("voltage", [x, p], [graph.drive.motor_voltage]),
         persists=persists,
+        n_q=compiled.n_q,
+        window=window,
+        period=period,
     )
 
 
@@ -133,7 +169,8 @@ enum {{
     {stem}_HELD = {len(held)},
     {stem}_STOPS = {len(controller.stop_names)},
     {stem}_SWITCHES = {n_switches},
-    {stem}_VOLTAGES = {controller.voltage.numel_out(0)}
+    {stem}_VOLTAGES = {controller.voltage.numel_out(0)},
+    {stem}_READINGS = {controller.n_readings}
 }};
 
 /* A contact that lasts longer than this is no bounce, and its end is a release [s]. */
@@ -146,6 +183,9 @@ typedef struct {{
     double since[{max(1, len(controller.stop_names))}];    /* begin of each contact [s] */
     int touched[{max(1, len(controller.stop_names))}], rested[{max(1, len(controller.stop_names))}];
     int above[{max(1, n_switches)}], is_begun;
+    int n_kept;    /* readings of the present contact or flight */
+    double when[{max(1, controller.n_readings)}];
+    double kept[{max(1, controller.n_readings)}][{max(1, controller.n_q)}];
 }} {stem}_controller;
 
 /* Take the held values of the start. */
@@ -164,7 +204,8 @@ def _code(controller: ExportedController, stem: str) -> Iterator[str]:
     """Yield the parts of the C code of a controller."""
     n_x = len(controller.state_names)
     yield f'#include <math.h>\n#include <string.h>\n\n#include "{stem}_controller.h"\n\n'
-    yield f"enum {{ STATES = {n_x} }};\n\n"
+    yield f"enum {{ STATES = {n_x}, COORDINATES = {controller.n_q} }};\n\n"
+    yield f"static const double window = {c_number(controller.window)};    /* [s] */\n"
     yield c_array("static const double p[]", map(c_number, controller.values.tolist() or [0.0]))
     places = [str(k) for k in controller.held] or ["0"]
     yield c_array("static const int held_at[]", places)
@@ -208,11 +249,62 @@ static void joined(const NAME_controller *c, const double *sensors, double *x) {
     }
 }
 
-static void set(NAME_controller *c, int event, const double *sensors) {
+/* Keep a reading, and drop those that are older than the window. */
+static void keep(NAME_controller *c, double time, const double *sensors) {
+    double x[STATES];
+    int k, n = 0;
+    if (!NAME_READINGS) return;
+    for (k = 0; k < c->n_kept; k++)
+        if (c->when[k] >= time - window && (k > 0 || c->n_kept < NAME_READINGS)) {
+            c->when[n] = c->when[k];
+            memmove(c->kept[n++], c->kept[k], sizeof c->kept[0]);
+        }
+    joined(c, sensors, x);
+    c->when[n] = time;
+    memcpy(c->kept[n], x, COORDINATES * sizeof(double));
+    c->n_kept = n + 1;
+}
+
+/* Return whether more readings are kept than a parabola has coefficients, or none is used. */
+static int fits(const NAME_controller *c) { return !NAME_READINGS || c->n_kept > 3; }
+
+/* Coordinates and rates of the parabola of least squares at a time. */
+static void estimate(const NAME_controller *c, double time, double *x) {
+    double mean = 0.0, second = 0.0, third = 0.0, fourth = 0.0, skew, spread;
+    const int n = c->n_kept;
+    int k, j;
+    if (!NAME_READINGS || !fits(c)) return;
+    for (k = 0; k < n; k++) mean += (c->when[k] - time) / window / n;
+    for (k = 0; k < n; k++) {
+        const double d = (c->when[k] - time) / window - mean;
+        second += d * d;
+        third += d * d * d;
+    }
+    skew = third / second;
+    spread = second / n;
+    for (k = 0; k < n; k++) {
+        const double d = (c->when[k] - time) / window - mean, p2 = d * d - skew * d - spread;
+        fourth += p2 * p2;
+    }
+    for (j = 0; j < COORDINATES; j++) {
+        double c0 = 0.0, c1 = 0.0, c2 = 0.0;
+        for (k = 0; k < n; k++) {
+            const double d = (c->when[k] - time) / window - mean, q = c->kept[k][j];
+            c0 += q / n;
+            c1 += d * q / second;
+            c2 += (d * d - skew * d - spread) * q / fourth;
+        }
+        x[j] = c0 - c1 * mean + c2 * (mean * mean + skew * mean - spread);
+        x[COORDINATES + j] = (c1 - c2 * (2 * mean + skew)) / window;
+    }
+}
+
+static void set(NAME_controller *c, int event, double time, const double *sensors) {
     double x[STATES], z[STATES];
     int k;
     if (event < 0) return;
     joined(c, sensors, x);
+    estimate(c, time, x);
     memcpy(z, x, sizeof z);
     set_by(event, x, z);
     for (k = 0; k < NAME_HELD; k++) c->held[k] = z[held_at[k]];
@@ -225,22 +317,31 @@ void NAME_begin(NAME_controller *c) {
 
 static void see_contacts(NAME_controller *c, double time, const double *sensors,
                          const int *contacts) {
-    int k;
+    const double last = c->n_kept ? c->when[c->n_kept - 1] : time;
+    int k, changes = 0;
+    for (k = 0; k < NAME_STOPS; k++) changes |= !contacts[k] != !c->touched[k];
+    if (!changes) keep(c, time, sensors);
     for (k = 0; k < NAME_STOPS; k++) {
         if (contacts[k] && !c->touched[k]) c->since[k] = time;
         if (contacts[k] && !c->rested[k] && time - c->since[k] >= NAME_PERSISTS) {
             c->rested[k] = 1;
-            set(c, at_event[3 * k + 1], sensors);
+            set(c, at_event[3 * k + 1], time, sensors);
         }
         if (!contacts[k] && c->touched[k]) {
-            set(c, at_event[3 * k + (c->rested[k] ? 2 : 0)], sensors);
+            const double end = NAME_READINGS ? (last + time) / 2 : time;
+            if (!c->rested[k] || fits(c))
+                set(c, at_event[3 * k + (c->rested[k] ? 2 : 0)], end, sensors);
             c->rested[k] = 0;
         }
         c->touched[k] = contacts[k];
     }
+    if (changes) {
+        c->n_kept = 0;
+        keep(c, time, sensors);
+    }
 }
 
-static void see_switches(NAME_controller *c, const double *sensors) {
+static void see_switches(NAME_controller *c, double time, const double *sensors) {
     double x[STATES], z[2 * NAME_SWITCHES + 1];
     int k;
     joined(c, sensors, x);
@@ -248,7 +349,7 @@ static void see_switches(NAME_controller *c, const double *sensors) {
     for (k = 0; k < NAME_SWITCHES; k++) {
         const int above = z[k] > 0.0;
         if (c->is_begun && c->above[k] && !above && z[NAME_SWITCHES + k] > 0.0)
-            set(c, FIRST_SWITCH + k, sensors);
+            set(c, FIRST_SWITCH + k, time, sensors);
         c->above[k] = above;
     }
     c->is_begun = 1;
@@ -258,7 +359,7 @@ void NAME_step(NAME_controller *c, double time, const double *sensors, const int
                double *voltages) {
     double x[STATES];
     see_contacts(c, time, sensors, contacts);
-    see_switches(c, sensors);
+    see_switches(c, time, sensors);
     joined(c, sensors, x);
     voltage(x, voltages);
 }

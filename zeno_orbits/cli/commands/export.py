@@ -66,6 +66,19 @@ def add_export(commands: Any) -> None:
         help="with --controller: duration from which a contact persists (default: 0.01)",
     )
     parser.add_argument(
+        "--window",
+        type=read_number,
+        metavar="SECONDS",
+        help="with --controller: take states at events from a parabola through the readings of "
+        "this time, as `sensors.window` of the rig does (default: the reading itself)",
+    )
+    parser.add_argument(
+        "--period",
+        type=read_number,
+        metavar="SECONDS",
+        help="with --window: time between two readings",
+    )
+    parser.add_argument(
         "--input",
         action="append",
         default=[],
@@ -93,6 +106,11 @@ def _run_export(options: argparse.Namespace) -> int:
         raise InputError("Argument `--input` must be left out with `--controller`.")
     if options.persists is not None and not options.controller:
         raise InputError("Argument `--persists` belongs to `--controller`, which is missing.")
+    if options.window is not None and not options.controller:
+        raise InputError("Argument `--window` belongs to `--controller`, which is missing.")
+    if (options.window is None) != (options.period is None):
+        given, other = ("window", "period") if options.period is None else ("period", "window")
+        raise InputError(f"Argument `--{given}` needs `--{other}`, which is missing.")
     problem = load_problem(options.problem)
     values = values_of(problem, options)
     if options.controller:
@@ -139,7 +157,20 @@ def _write_controller(
     if not 0.0 < persists < math.inf:
         raise InputError(f"Argument `--persists` must be positive, but it is {persists:g}.")
     state = np.array(start_of(problem, options))
-    controller, warning = controller_of(problem, values, state, persists=persists), ""
+    window = options.window
+    if window is not None and not (window > 0.0 and options.period > 0.0):
+        raise InputError("Argument `--window` must be positive, and so must `--period`.")
+    controller, warning = (
+        controller_of(
+            problem,
+            values,
+            state,
+            persists=persists,
+            window=window or 0.0,
+            period=options.period or 0.0,
+        ),
+        "",
+    )
     if options.fmu:
         files, warning = _controller_unit(problem, controller, state)
     else:
