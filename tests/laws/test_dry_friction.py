@@ -329,6 +329,26 @@ def test_wrong_declarations_are_refused() -> None:
         zo.simulate(slider(), start={"x": 1.0, "side_pad": 0.3}, until=1.0)
 
 
+@pytest.mark.parametrize(
+    ("gap", "is_held"),
+    [("q[0] * (1 + q[1])", True), ("q[0] - q[1] ** 2", False), ("q[0] + q[0] * q[1] ** 2", True)],
+)
+def test_a_rate_that_a_stop_holds_only_while_it_is_closed_is_refused(
+    gap: str, is_held: bool
+) -> None:
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    # At a zero gap the normal of the first and last is along q0, and nowhere else.
+    pair = zo.HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=ca.sumsqr(v) / 2, potential=ca.SX(0), gap=eval(gap, {"q": q})
+    )
+    parts = (zo.no_drive(pair), zo.DryFriction("pad", rate=v[0], torque=1.0))
+    if is_held:
+        with pytest.raises(ValueError, match="`pad` must be free, but it is zero with the closed"):
+            zo.hybrid_system(pair, parts, 0.5)
+    else:
+        assert zo.hybrid_system(pair, parts, 0.5).graph.n_frictions == 1
+
+
 @pytest.mark.parametrize("name", ["a pad", "a,b", "pad=1", "p\n"])
 def test_a_name_that_is_no_name_of_a_state_is_refused_where_the_part_is_declared(name: str) -> None:
     with pytest.raises(ValueError, match=r"`name` must hold letters, digits .*`side_NAME`"):

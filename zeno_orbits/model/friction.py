@@ -12,7 +12,7 @@ Closed stops are further rows of the same system. Source: [LeineNijmeijer2004]_.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations, product
 
@@ -351,8 +351,8 @@ def _of_part(rows: _Rows, v: ca.SX, k: int, state: ca.SX, sizes: ca.SX) -> Frict
 def require_free_rates(mechanism: HybridLagrangian, drive: Drive, stops: Sequence[Stop]) -> None:
     """Refuse a friction whose rate is zero while stops are closed or other parts stick.
 
-    Its force and the force of the stop are then not determined. Ranks are those at one random
-    state, so rows that depend on each other at some states alone are not found.
+    Its force and the force of the stop are then not determined. `first_held_rate` tells which
+    states decide.
 
     Args:
         mechanism: The mechanism.
@@ -362,31 +362,79 @@ def require_free_rates(mechanism: HybridLagrangian, drive: Drive, stops: Sequenc
     Raises:
         ValueError: If there is one. The message names it.
     """
-    v, q = mechanism.v, mechanism.q
-    fixed = [mechanism.holonomic[k] for k in range(mechanism.holonomic.numel())]
-    normals = ca.jacobian(ca.vertcat(ca.SX(0, 1), *fixed, *(one.gap for one in stops)), q)
-    rows = ca.jacobian(drive.sliding, v)
-    every = ca.vertcat(normals, rows)
-    symbols = ca.veccat(*ca.symvar(every)) if ca.symvar(every) else ca.SX(0, 1)
-    function = ca.Function("rows", [symbols], [ca.densify(every)])
-    at = np.random.default_rng(0).uniform(0.5, 1.5, symbols.numel())
-    matrix = np.asarray(function(at).full(), dtype=np.float64)
-    n_fixed, n_stops, n = len(fixed), len(stops), len(drive.frictions)
-    frictions = [n_fixed + n_stops + k for k in range(n)]
-    for closed in (c for m in range(n_stops + 1) for c in combinations(range(n_stops), m)):
+    found = first_held_rate(mechanism, drive.frictions, drive.sliding, stops)
+    if found is None:
+        return
+    part, closed = found
+    who = ", ".join(f"the closed stop `{stops[j].name}`" for j in closed)
+    who = who or "a constraint or another part that sticks"
+    raise ValueError(
+        f"Argument `rate` of the friction `{drive.frictions[part]}` must be free, but it is zero "
+        f"with {who}, so its force is not determined. Choose a rate that they do not hold."
+    )
+
+
+def first_held_rate(
+    mechanism: HybridLagrangian, names: Sequence[str], rates: ca.SX, stops: Sequence[Stop] = ()
+) -> tuple[int, tuple[int, ...]] | None:
+    """Return a rate that closed stops and the rates before it hold, and these stops, if any does.
+
+    Random states decide, at which the constraints hold and the gaps of the closed stops are zero. A
+    rate that is held at all of them is held wherever the stops are closed. One that is held in a
+    few configurations alone is not found.
+
+    Args:
+        mechanism: The mechanism.
+        names: Name of each part.
+        rates: Its rate, ``(n_f,)``.
+        stops: Stops, which may close.
+    """
+    q, eta = mechanism.q, mechanism.holonomic
+    gaps = ca.vertcat(ca.SX(0, 1), *(one.gap for one in stops))
+    place = ca.vertcat(eta, gaps)
+    normals = ca.jacobian(place, q)
+    rows = ca.vertcat(normals, ca.jacobian(rates, mechanism.v))
+    known = ca.symvar(ca.vertcat(ca.vec(rows), place))
+    others = [one for one in known if not ca.depends_on(q, one)]
+    symbols = [q, ca.vertcat(ca.SX(0, 1), *others)]
+    function = ca.Function("rows", symbols, [ca.densify(one) for one in (place, normals, rows)])
+    n_fixed, n_shut = eta.numel(), eta.numel() + len(stops)
+    for closed in (c for m in range(len(stops) + 1) for c in combinations(range(len(stops)), m)):
         shut = [*range(n_fixed), *(n_fixed + k for k in closed)]
-        if _rank(matrix[shut]) < len(shut):
+        matrices = list(_matrices_at(function, shut)) or list(_matrices_at(function, ()))
+        if any(_rank(one[shut]) < len(shut) for one in matrices):
             continue
-        for k, name in enumerate(drive.frictions):
-            taken = [*shut, *frictions[: k + 1]]
-            if _rank(matrix[taken]) == len(taken):
-                continue
-            who = ", ".join(f"the closed stop `{stops[j].name}`" for j in closed)
-            who = who or "a constraint or another part that sticks"
-            raise ValueError(
-                f"Argument `rate` of the friction `{name}` must be free, but it is zero with "
-                f"{who}, so its force is not determined. Choose a rate that they do not hold."
+        for k in range(len(names)):
+            taken = [*shut, *range(n_shut, n_shut + k + 1)]
+            if all(_rank(one[taken]) < len(taken) for one in matrices):
+                return k, closed
+    return None
+
+
+_TRIED, _CORRECTIONS = 4, 50
+"""Random states at which ranks are taken, and corrections that lead to closed stops at most."""
+
+
+def _matrices_at(function: ca.Function, shut: Sequence[int]) -> Iterator[np.ndarray]:
+    """Yield the rows of stops and parts at random states with some gaps at zero.
+
+    A random state from which the corrections by Gauss and Newton do not lead there is left out.
+    """
+    n_q, n_others = function.numel_in(0), function.numel_in(1)
+    for seed in range(_TRIED):
+        random = np.random.default_rng(seed)
+        q, others = random.uniform(0.5, 1.5, n_q), random.uniform(0.5, 1.5, n_others)
+        for _ in range(_CORRECTIONS):
+            place, normals, rows = (
+                np.asarray(one.full(), dtype=np.float64) for one in function(q, others)
             )
+            left = place[shut].ravel()
+            if not np.all(np.isfinite(rows)) or not np.all(np.isfinite(left)):
+                break
+            if not left.size or float(np.max(np.abs(left))) < _DEPENDENT:
+                yield rows
+                break
+            q = q - np.linalg.lstsq(normals[shut], left)[0]
 
 
 def _rank(matrix: np.ndarray) -> int:
