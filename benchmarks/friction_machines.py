@@ -29,7 +29,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import zeno_orbits as zo
 from tests.reference.friction_loop import LinearMachine
 from tests.support.linear_friction import PLASTIC, events_of, events_of_reference, task_of
-from zeno_orbits.errors import ChatterError
 from zeno_orbits.simulation import by_reference
 from zeno_orbits.simulation.compiled.executions import by_loop
 
@@ -66,7 +65,7 @@ def judged(seed: int, until: float) -> tuple[str, list[str]]:
     task = task_of(machine, seed, until)
     try:
         found, slow = by_loop(task), by_reference(task)
-    except ChatterError as error:
+    except zo.ChatterError as error:
         at_once = events_of_reference(machine, seed, error.time + SOON)
         sticks = [one for one, name in at_once if "stick" in name and one > error.time - SOON]
         is_known = len(sticks) >= LEAST and "accumulate" in error.reason

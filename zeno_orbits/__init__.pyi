@@ -46,6 +46,7 @@ from .continuation.families import Continuation as Continuation
 from .continuation.families import Family as Family
 from .continuation.families import SpecialPointKind as SpecialPointKind
 from .continuation.setup import ContinuationSettings as ContinuationSettings
+from .errors import ChatterError as ChatterError
 from .errors import EquationsWarning as EquationsWarning
 from .errors import InputError as InputError
 from .errors import OrbitFileError as OrbitFileError
@@ -173,6 +174,7 @@ __all__ = [
     "Bound",
     "BranchProof",
     "BranchVerdict",
+    "ChatterError",
     "Circuit",
     "Clock",
     "Cluster",

@@ -253,7 +253,7 @@ class SimultaneousEventsError(SimulationError):
 
 
 class ChatterError(SimulationError):
-    """The impacts did not accumulate at a Zeno point within the allowed number of impacts."""
+    """Impacts lack a Zeno point within the allowed number, or events of a switch accumulate."""
 
 
 class CheckpointError(InputError):
