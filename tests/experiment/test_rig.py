@@ -245,19 +245,21 @@ def test_a_gear_of_very_stiff_teeth_is_none(problem: Problem) -> None:
 
 def test_dry_and_viscous_friction_let_a_disc_run_down_as_their_closed_forms_say() -> None:
     values = DISC.values(parameters={"K": 1e-12})
-    dry, creep, start = 0.004, 0.05, 2.0
+    dry, start = 0.004, 2.0
     run = run_rig(
         DISC,
         values,
-        Rig(friction={"angle": Friction(coulomb=dry, creep=creep)}),
+        Rig(friction={"angle": Friction(coulomb=dry)}),
         (0.0, start, 0.0),
         12.0,
         settings=FINE,
     )
-    # J dv/dt = -c tanh(v / v_c): sinh(v / v_c) decays exponentially, v straight while v >> v_c.
-    decay = np.exp(-dry * run.times / (INERTIA * creep))
-    expected = creep * np.arcsinh(np.sinh(start / creep) * decay)
-    assert run.of("rate") == pytest.approx(expected, abs=1e-9)
+    # J dv/dt = -c sign(v): v is straight to 0 at J v / c = 10 s, and stays there.
+    expected = np.maximum(0.0, start - dry / INERTIA * run.times)
+    assert run.of("rate") == pytest.approx(expected, abs=1e-12)
+    assert run.of("rate")[-1] == 0.0
+    apart = np.abs(run.times - INERTIA * start / dry) > 1e-9
+    assert np.array_equal((run.of("side_angle") == 0.0)[apart], (expected == 0.0)[apart])
     viscous = 0.01
     run = run_rig(
         DISC,

@@ -36,7 +36,6 @@ from zeno_orbits.experiment.rig.cycle_comparison import (
 from zeno_orbits.experiment.rig.forces import (
     averaged_voltage,
     contact_force,
-    friction_force,
     teeth_torque,
 )
 from zeno_orbits.integrators import Tolerance
@@ -148,14 +147,6 @@ def test_the_stop_pushes_and_never_pulls() -> None:
     assert at(force, [depth, rate], 0.25, 0.0) == pytest.approx(8 * 0.125, rel=4 * ROUNDING)
     assert at(force, [depth, rate], 0.25, 0.5) == pytest.approx(8 * 0.125 * 2, rel=4 * ROUNDING)
     assert at(force, [depth, rate], 0.25, -3.0) == 0.0
-
-
-def test_dry_friction_is_its_full_size_away_from_rest_and_opposes_motion() -> None:
-    rate = ca.SX.sym("rate")
-    force = friction_force(Friction(coulomb=0.3, viscous=0.1, creep=0.01), rate)
-    assert at(force, [rate], 2.0) == pytest.approx(-0.3 - 0.2, rel=4 * ROUNDING)
-    assert at(force, [rate], -2.0) == pytest.approx(0.3 + 0.2, rel=4 * ROUNDING)
-    assert at(force, [rate], 0.0) == 0.0
 
 
 def test_teeth_carry_nothing_inside_the_play_and_push_on_either_side() -> None:
@@ -314,7 +305,7 @@ def test_the_error_of_a_rate_falls_with_the_readings_as_least_squares_says() -> 
         (lambda: Contact(exponent=0.5), "exponent"),
         (lambda: Contact(slowest=0.0), "slowest"),
         (lambda: Friction(coulomb=-1.0), "coulomb"),
-        (lambda: Friction(creep=0.0), "creep"),
+        (lambda: Friction(viscous=-1.0), "viscous"),
         (lambda: Gear(rotor_inertia=0.0), "rotor_inertia"),
         (lambda: Gear(rotor_inertia=1.0, play=-0.1), "play"),
         (lambda: HBridge(supply=-12.0), "supply"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from zeno_orbits.model import Contact, Friction, Gear, HBridge
+from zeno_orbits.model import Contact, Gear, HBridge
 
 _SMALL_VOLTAGE = 1e-3
 """Part of the supply over which an averaged bridge changes its direction."""
@@ -26,14 +26,6 @@ def contact_force(contact: Contact, damping: ca.SX, depth: ca.SX, rate: ca.SX) -
     """
     spring = depth if contact.exponent == 1.0 else depth * ca.fabs(depth) ** (contact.exponent - 1)
     return contact.stiffness * spring * ca.fmax(0, 1 + damping * rate)
-
-
-def friction_force(friction: Friction, rate: ca.SX) -> ca.SX:
-    r"""Return the force of friction, :math:`-c \tanh(v / v_c) - b v`.
-
-    The step of dry friction is smoothed, so a sticking contact creeps, at less than ``creep``.
-    """
-    return -friction.coulomb * ca.tanh(rate / friction.creep) - friction.viscous * rate
 
 
 def teeth_torque(gear: Gear, twist: ca.SX, rate: ca.SX) -> ca.SX:

@@ -1,9 +1,10 @@
 r"""Functions of a machine: a flow for every set of touched stops and every branch of its kinks.
 
 The state is the problem's state ``(q, v, i)`` and clock, then the angle and rate of every rotor
-driven through a gear. In place of the restitution, each stop has a contact force along
-:math:`\nabla h` (theory (6.1)). The other parts of a rig are forces and voltages (theory (6.3),
-(6.4)). Contacts are smooth, so only a declared switch resets the state.
+driven through a gear, then the side of every part of the rig with dry friction. In place of the
+restitution, each stop has a contact force along :math:`\nabla h` (theory (6.1)). The other parts of
+a rig are forces and voltages (theory (6.3), (6.4)). Contacts are smooth, so only a declared switch
+resets the state.
 """
 
 from __future__ import annotations
@@ -17,10 +18,15 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.errors import InputError
+from zeno_orbits.experiment.rig.dry_friction import (
+    GUARDS_PER_PART,
+    DryParts,
+    HeldMotion,
+    held_motion,
+)
 from zeno_orbits.experiment.rig.forces import (
     averaged_voltage,
     contact_force,
-    friction_force,
     inductive_current,
     teeth_torque,
 )
@@ -40,7 +46,7 @@ from zeno_orbits.model import (
 )
 
 _Mode = tuple[tuple[int, ...], tuple[bool, ...], int, bool]
-"""Touched stops, sides of the kinks, guard, and for a declared switch the sign of its guard."""
+"""Touched stops, sides of the kinks, guard, and for a switch the sign of its guard."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,7 +67,9 @@ class Machine:
         motors: ``(y, P) -> (currents, terminal voltages)``, each ``(n_motors,)``.
         command: ``(x measured, p) -> voltages`` commanded by the feedback.
         rest: ``(x, p) -> y`` with every rotor in the middle of its backlash and turning with its
-            joint.
+            joint, and the sides of the rig's dry friction at zero.
+        dry_names: Name of each part with dry friction.
+        dry_sides: Index of the side of each in ``y``.
         inertia: ``(x, p) -> M`` without the parts on the motor side of gears, ``(n_q, n_q)``.
     """
 
@@ -77,6 +85,8 @@ class Machine:
     command: ca.Function
     rest: ca.Function
     inertia: ca.Function
+    dry_names: tuple[str, ...]
+    dry_sides: tuple[int, ...]
     _branch: Callable[[tuple[bool, ...], tuple[int, ...]], _Parts] = field(repr=False)
     _graph: ModeGraph = field(repr=False)
     _branches: dict[tuple[tuple[bool, ...], tuple[int, ...]], _Parts] = field(
@@ -86,10 +96,37 @@ class Machine:
         default_factory=dict["_Mode", "ModeFunctions"], repr=False
     )
 
+    _loads: dict[tuple[tuple[bool, ...], tuple[int, ...]], ca.Function] = field(
+        default_factory=dict["tuple[tuple[bool, ...], tuple[int, ...]]", "ca.Function"], repr=False
+    )
+
     @property
     def n_watched(self) -> int:
         """Number of gaps among the guards: of a machine without stops it is 1."""
         return self._graph.n_watched
+
+    @property
+    def first_dry(self) -> int:
+        """Index of the first guard of dry friction, after all stops and switches."""
+        return self.n_watched + len(self._graph.switch_names)
+
+    def load(self, touched: tuple[int, ...], sides: tuple[bool, ...]) -> ca.Function:
+        """Return ``(y, P) ->`` what decides which parts with dry friction slip: a `DryLoad`.
+
+        Args:
+            touched: Indices of the touched stops.
+            sides: Side of every kink.
+        """
+        if (sides, touched) not in self._loads:
+            parts = self._parts(touched, sides)
+            given = [parts.state, parts.numbers]
+            self._loads[sides, touched] = dense_function("dry", given, [parts.stuck(touched).load])
+        return self._loads[sides, touched]
+
+    def _parts(self, touched: tuple[int, ...], sides: tuple[bool, ...]) -> _Parts:
+        if (sides, touched) not in self._branches:
+            self._branches[sides, touched] = self._branch(sides, touched)
+        return self._branches[sides, touched]
 
     def mode(
         self,
@@ -104,7 +141,8 @@ class Machine:
         Args:
             touched: Indices of the touched stops.
             sides: Side of every kink, True where its condition is positive.
-            guard: Index of the stop, or of a switch after all stops.
+            guard: Index of the stop, or of a switch after all stops, or of a guard of dry friction
+                after these.
             above: True for the guard of a switch, False for its negative.
         """
         key = (tuple(touched), tuple(sides), guard, above)
@@ -115,15 +153,16 @@ class Machine:
     def _built(
         self, touched: tuple[int, ...], sides: tuple[bool, ...], guard: int, above: bool
     ) -> ModeFunctions:
-        if (sides, touched) not in self._branches:
-            self._branches[sides, touched] = self._branch(sides, touched)
-        parts = self._branches[sides, touched]
+        parts = self._parts(touched, sides)
         rate = parts.rate(touched)
         if guard < self.n_watched:
             sign = -1 if guard in touched else 1
             watched = sign * ca.vertcat(parts.gaps[guard], parts.gap_rates[guard])
             return mode_functions("machine", parts.state, parts.numbers, rate, watched)
-        value = self._graph.guard(sides, guard - self.n_watched)
+        if guard < self.first_dry:
+            value = self._graph.guard(sides, guard - self.n_watched)
+        else:
+            value = parts.dry_guard(touched, *divmod(guard - self.first_dry, GUARDS_PER_PART))
         value = value if above else -value
         slope = ca.jtimes(value, parts.state, rate)
         watched = ca.vertcat(value, slope, ca.jtimes(slope, parts.state, rate))
@@ -138,11 +177,12 @@ class Machine:
             own: Characteristic scales of the problem.
             rates: Additional factor of the velocity scales.
         """
-        n_rotors = (len(self.state_names) - self.n_x) // 2
+        n_added = sum(k >= self.n_x for k in self.dry_sides)
+        n_rotors = (len(self.state_names) - self.n_x - n_added) // 2
         rotor = (1 / own.least, 1 / (own.time * own.least))
         states = np.array(own.weights(self.n_x))
         states[self.n_q : 2 * self.n_q] *= rates
-        return (*states.tolist(), *(n_rotors * rotor))
+        return (*states.tolist(), *(n_rotors * rotor), *(n_added * (1 / own.least,)))
 
 
 @lru_cache(maxsize=16)
@@ -162,17 +202,21 @@ def machine(problem: Problem, rig: Rig) -> Machine:
     p = ca.vertcat(*symbols.values())
     graph = system.graph
 
-    def branch(sides: tuple[bool, ...], touched: tuple[int, ...]) -> _Parts:
-        return _Parts(problem, system_of_stop(graph, ((), sides), 0, touched), graph, rig, p)
+    dry = DryParts.of(system, problem.state_names[: system.n_q], rig)
 
-    parts = _Parts(problem, system, graph, rig, p)
+    def branch(sides: tuple[bool, ...], touched: tuple[int, ...]) -> _Parts:
+        one = system_of_stop(graph, ((), sides), 0, touched)
+        return _Parts(problem, one, graph, rig, p, dry.of_drive(one.drive))
+
+    parts = _Parts(problem, system, graph, rig, p, dry)
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:
         return dense_function(name, [parts.state, parts.numbers], list(outputs))
 
+    parts.dry.require_free(system)
     seen = ca.vertcat(parts.forces, parts.gaps, parts.gap_rates, parts.normal_inertias)
     return Machine(
-        state_names=(*problem.state_names, *parts.rotor_names),
+        state_names=(*problem.state_names, *parts.rotor_names, *parts.dry.added_names),
         n_x=system.state.numel(),
         n_q=system.n_q,
         n_motors=parts.held.numel(),
@@ -184,8 +228,21 @@ def machine(problem: Problem, rig: Rig) -> Machine:
         command=dense_function("command", [system.state, p], [system.motor_voltage]),
         rest=dense_function("rest", [system.state, p], [parts.rest]),
         inertia=dense_function("inertia", [system.state, p], [parts.inertia]),
+        dry_names=parts.dry.names,
+        dry_sides=_places(parts.dry.sides, parts.state),
         _branch=branch,
         _graph=graph,
+    )
+
+
+def _places(symbols: ca.SX, state: ca.SX) -> tuple[int, ...]:
+    """Return the indices of symbols in a state."""
+    states = ca.vertsplit(state)
+    return tuple(
+        k
+        for one in (symbols[j] for j in range(symbols.numel()))
+        for k, x in enumerate(states)
+        if ca.is_equal(one, x)
     )
 
 
@@ -215,9 +272,6 @@ def require_place(problem: Problem, system: CompletedSystem, rig: Rig) -> None:
     if drive.added_inertia.nnz():
         wanted = "must have its currents as states, or none at all, for a rig"
         raise InputError(f"Argument `problem` {wanted}, but `{problem.name}` corrects for them.")
-    if drive.frictions:
-        wanted = "must not declare dry friction for a rig, which has `friction` as a part"
-        raise InputError(f"Argument `problem` {wanted}, but `{problem.name}` has `DryFriction`.")
     for name in rig.friction:
         if name not in coordinates:
             known = ", ".join(coordinates)
@@ -292,11 +346,31 @@ def _coupling(system: CompletedSystem, motor: int) -> _Coupling:
     return _Coupling(axis, emf, torque)
 
 
+class _Motion(NamedTuple):
+    """A motion without the forces of parts that stick.
+
+    Attributes:
+        inverse_mass: Inverse mass on the constraints, ``(n_q, n_q)``.
+        acceleration: Acceleration, ``(n_q,)``.
+        further: Rates of the states of the drive, of the clock and of every rotor.
+    """
+
+    inverse_mass: ca.SX
+    acceleration: ca.SX
+    further: tuple[ca.SX, ...]
+
+
 class _Parts:
     """Expressions of a machine, built from the expressions of its problem."""
 
     def __init__(
-        self, problem: Problem, system: CompletedSystem, graph: ModeGraph, rig: Rig, p: ca.SX
+        self,
+        problem: Problem,
+        system: CompletedSystem,
+        graph: ModeGraph,
+        rig: Rig,
+        p: ca.SX,
+        dry: DryParts,
     ) -> None:
         self._system, self._rig, self._mechanism = system, rig, system.mechanism
         self._coordinates = problem.state_names[: system.n_q]
@@ -319,8 +393,10 @@ class _Parts:
         self._rotors = {motor: ca.SX.sym(f"rotor{motor}", 2) for motor in sorted(rig.gears)}
         self._couplings = {motor: _coupling(system, motor) for motor in self._rotors}
         self.rotor_names = [f"{d}rotor{motor}" for motor in self._rotors for d in ("", "d")]
-        self.state = ca.vertcat(system.state, *self._rotors.values())
-        self.rest = ca.vertcat(system.state, *(self._joint(motor) for motor in self._rotors))
+        self.dry = dry
+        self.state = ca.vertcat(system.state, *self._rotors.values(), dry.added)
+        joints = [self._joint(motor) for motor in self._rotors]
+        self.rest = ca.vertcat(system.state, *joints, ca.SX.zeros(dry.added.numel()))
         self.inertia = self._inertia()
         driven, slip = self._voltage(), self._slip_emf()
         self.current = self._fed(driven - slip).motor_current
@@ -330,6 +406,30 @@ class _Parts:
 
     def rate(self, touched: Sequence[int]) -> ca.SX:
         """Return the time derivative of the state under the forces of the touched stops."""
+        motion = self._motion(touched)
+        acceleration = self.stuck(touched).acceleration if self.dry.names else motion.acceleration
+        sides = ca.SX.zeros(self.dry.added.numel())
+        return ca.vertcat(self._mechanism.v, acceleration, *motion.further, sides)
+
+    def stuck(self, touched: Sequence[int]) -> HeldMotion:
+        """Return the motion with the parts that stick held."""
+        q, v = self._mechanism.q, self._mechanism.v
+        motion = self._motion(touched)
+        others = ca.vertcat(
+            q, self.state[2 * q.numel() : self.state.numel() - self.dry.added.numel()]
+        )
+        drift = ca.jtimes(self.dry.rates, others, ca.vertcat(v, *motion.further))
+        return held_motion(self.dry, v, motion.inverse_mass, motion.acceleration, drift)
+
+    def dry_guard(self, touched: Sequence[int], part: int, kind: int) -> ca.SX:
+        """Return a guard of a part: its rate, or what is left to slip up or down."""
+        if kind == 0:
+            return self.dry.rates[part]
+        sign = 1 if kind == 1 else -1
+        return self.dry.static[part] + sign * self.stuck(touched).forces[part]
+
+    def _motion(self, touched: Sequence[int]) -> _Motion:
+        """Return the motion with the friction of the parts that slip, and none of the others."""
         mechanism, drive = self._mechanism, self._drive
         pushes = ca.SX.zeros(self._system.n_q)
         for k in touched:
@@ -349,9 +449,11 @@ class _Parts:
             # Only a machine with one stop has such a drive.
             force = self.forces if touched else ca.SX(0)
             changes += direction * force / self._system.normal_inertia
-        _, acceleration = accelerate(replace(mechanism, mass_matrix=self.inertia), forces)
+        inverse_mass, acceleration = accelerate(
+            replace(mechanism, mass_matrix=self.inertia), forces
+        )
         clock = ca.SX(0, 1) if mechanism.clock is None else mechanism.clock.rate
-        return ca.vertcat(mechanism.v, acceleration, changes, clock, *rotor_rates)
+        return _Motion(inverse_mass, acceleration, (changes, clock, *rotor_rates))
 
     def _inertia(self) -> ca.SX:
         mass = self._mechanism.mass_matrix
@@ -399,11 +501,12 @@ class _Parts:
         return ca.vertcat(ca.dot(axis, self._mechanism.q), ca.dot(axis, self._mechanism.v))
 
     def _friction(self) -> ca.SX:
+        """Return the viscous friction of all coordinates, and the dry friction that slips."""
         v = self._mechanism.v
-        force = ca.SX.zeros(v.numel())
+        force = self.dry.slipping(v)
         for name, friction in self._rig.friction.items():
             k = self._coordinates.index(name)
-            force[k] = friction_force(friction, v[k])
+            force[k] -= friction.viscous * v[k]
         return force
 
 

@@ -16,11 +16,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NoReturn, cast
 
+import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError, counted
 from zeno_orbits.experiment.rig.controller import ControlLoop
+from zeno_orbits.experiment.rig.dry_friction import GUARDS_PER_PART, DryLoad
 from zeno_orbits.experiment.rig.machine import machine
 from zeno_orbits.experiment.rig.modes import RigGuard, RigMode, damping_numbers
 from zeno_orbits.experiment.rig.run import (
@@ -153,6 +155,8 @@ class _Follower:
         self._window = _SHORTEST * self._own_time
         self._crossed: tuple[float, int] | None = None
         self._fallen: tuple[float, int] | None = None
+        self._frictional = self._graph.compiled.graph.frictional
+        self._dry_calls: dict[ca.Function, Call] = {}
         self._is_held = np.isin(np.arange(built.n_x), self._graph.compiled.graph.held)
         self._persists: dict[int, float] = {}
         self._rested: set[int] = set()
@@ -180,6 +184,8 @@ class _Follower:
         above, sides = self._signs_at(self._graph.open_mode[1])
         self._mode = RigMode(sides=sides, above=above)
         self._take_contacts()
+        if self._machine.dry_names:
+            self._take_dry_sides(self._dry_load().first_sides())
 
     def _take_contacts(self) -> None:
         """Begin the contacts of a state, and end those that it has left."""
@@ -188,6 +194,52 @@ class _Follower:
             touches = gap < 0.0 or (gap == 0.0 and rate < 0.0)
             if touches != (k in self._mode.touched):
                 self._turn(k)
+
+    def _dry_load(self) -> DryLoad:
+        """Return what decides which parts with dry friction slip."""
+        formula, n_q = self._machine.load(self._mode.touched, self._mode.sides), self._machine.n_q
+        if formula not in self._dry_calls:
+            self._dry_calls[formula] = Call(formula, self._numbers)
+        scales = self._owns[0].states(self._machine.n_x)[n_q : 2 * n_q]
+        v = self._y[n_q : 2 * n_q]
+        return DryLoad.of(
+            self._dry_calls[formula](self._y).copy(), len(self._machine.dry_names), v, scales
+        )
+
+    def _take_dry_sides(self, dry: tuple[int, ...]) -> None:
+        """Give the parts with dry friction their sides, and the rates of those that stick to 0."""
+        y, n_q = self._y.copy(), self._machine.n_q
+        y[list(self._machine.dry_sides)] = dry
+        load, stuck = self._dry_load(), [side == 0 for side in dry]
+        if any(stuck):
+            rows = load.rows[stuck]
+            y[n_q : 2 * n_q] -= np.linalg.lstsq(rows, load.rates[stuck])[0]
+        self._y = y
+        above, sides = self._signs_at(self._mode.sides)
+        self._mode = replace(self._mode, above=above, sides=sides)
+
+    def _settle_dry(self, fell: tuple[int, int] | None = None) -> None:
+        """Let the parts with dry friction slip or stick as their laws ask.
+
+        Args:
+            fell: Index of the part whose guard has fallen, and which one, or ``None`` at an event
+                of the machine.
+
+        Raises:
+            SimulationError: If no sides fulfil the laws.
+        """
+        before = tuple(int(one) for one in self._y[list(self._machine.dry_sides)])
+        if not before:
+            return
+        part, kind = fell or (-1, -1)
+        fixed = {part: 1 if kind == 1 else -1} if kind > 0 else {}
+        at_rest = (part,) if kind == 0 else ()
+        after = self._dry_load().sides(before, fixed=fixed, at_rest=at_rest)
+        if after is None:
+            names = ", ".join(f"`{name}`" for name in self._machine.dry_names)
+            self._stop(SimulationError, f"No forces fulfil the laws of dry friction of {names}")
+        if after != before:
+            self._take_dry_sides(after)
 
     def _signs_at(self, before: tuple[bool, ...]) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
         """Return the side of every declared switch and kink at the state. A zero keeps the side."""
@@ -227,6 +279,7 @@ class _Follower:
                 edge = min(until, self._loop.next_edge)
             edge = min([edge, *self._persists.values()])
             before = self._time
+            self._settle_dry()
             self._leg(edge)
             for stop in [k for k, end in self._persists.items() if end <= self._time]:
                 del self._persists[stop]
@@ -260,11 +313,13 @@ class _Follower:
             self._window *= _GROW
             return
         self._window = max(_GROW * passage.duration, _SHORTEST * self._own_time)
-        n_stops = self._machine.n_watched
+        n_stops, first_dry = self._machine.n_watched, self._machine.first_dry
         if fell < n_stops:
             self._turn(fell)
-        else:
+        elif fell < first_dry:
             self._cross(fell - n_stops, passage.outcome)
+        else:
+            self._settle_dry(divmod(fell - first_dry, GUARDS_PER_PART))
 
     def _guards(self) -> Iterator[RigGuard]:
         """Yield the guards of the mode, first the one that is expected to fall first."""
@@ -280,10 +335,25 @@ class _Follower:
         values, levels, _ = self._graph.guards(((), self._mode.sides), x)
         sides = (*self._mode.above, *self._mode.sides)
         for s, (value, level, side) in enumerate(zip(values, levels, sides, strict=True)):
-            if s < self._graph.n_declared and self._graph.causes[s]:
+            if s < self._graph.n_declared and (self._graph.causes[s] or s in self._frictional):
                 continue
             on_guard = bool((value if side else -value) <= level)
             yield RigGuard(gaps.size + s, on_guard=on_guard, rounding=float(level), above=side)
+        yield from self._dry_guards()
+
+    def _dry_guards(self) -> Iterator[RigGuard]:
+        """Yield the rate of every part that slips, and what is left of the others' friction."""
+        if not self._machine.dry_names:
+            return
+        load = self._dry_load()
+        for j, side in enumerate(self._y[list(self._machine.dry_sides)].tolist()):
+            first = self._machine.first_dry + GUARDS_PER_PART * j
+            if side:
+                level = float(load.rounding[j])
+                on_guard = bool(side * load.rates[j] <= level)
+                yield RigGuard(first, on_guard=on_guard, rounding=level, above=side > 0.0)
+            else:
+                yield from (RigGuard(first + k, on_guard=False) for k in range(1, GUARDS_PER_PART))
 
     def _first(
         self, guards: Sequence[RigGuard], horizon: float, numbers: Vector

@@ -69,23 +69,22 @@ class Contact(Part):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Friction(Part):
-    r"""Friction of one coordinate: :math:`-c \tanh(v / v_c) - b v` (theory (6.3)).
+    r"""Friction of one coordinate: dry friction, which slips or sticks, and :math:`-b v`.
+
+    The dry friction is a `DryFriction` along the coordinate, with the torque `c` (theory (6.3)).
 
     Attributes:
         coulomb: :math:`c`, dry friction [N m].
         viscous: :math:`b` [N m s/rad].
-        creep: :math:`v_c`, rate over which dry friction changes its sign [rad/s].
     """
 
     QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
         _nonnegative("coulomb", 0.0, "N m", "dry friction"),
         _nonnegative("viscous", 0.0, "N m s/rad", "viscous friction"),
-        positive("creep", 0.01, "rad/s", "rate over which dry friction changes its sign"),
     )
 
     coulomb: float = 0.0
     viscous: float = 0.0
-    creep: float = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
