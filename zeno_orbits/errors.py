@@ -210,6 +210,10 @@ class UnsettledError(SimulationError):
     """A motion neither repeats nor ends within its time."""
 
 
+class EventlessError(UnsettledError):
+    """A motion strikes no stop and passes no switch within its time."""
+
+
 class StepSizeError(SimulationError):
     """The step size fell to rounding level, or the flow is not finite any more."""
 

@@ -18,10 +18,12 @@ import pytest
 import zeno_orbits as zo
 from tests.support.commands import (
     INTERRUPTED,
+    MISUSE,
     NO,
     YES,
     ask,
     assert_refused,
+    contents,
     interrupted_when,
     raising,
 )
@@ -361,3 +363,100 @@ def test_a_search_whose_motion_comes_to_rest_says_so(start: str) -> None:
     assert answer.code == NO
     assert "comes to rest" in answer.out
     assert "longer" not in answer.out
+
+
+_OSCILLATOR = """
+import casadi as ca
+import zeno_orbits as zo
+
+print("The file runs.")
+
+def model(p):
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    clock = zo.Time() if {timed} else None
+    mass = zo.HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=p["m"] * v**2 / 2, potential=p["k"] * q**2 / 2, gap=q + 1, clock=clock
+    )
+    return zo.hybrid_system(mass, zo.no_drive(mass), p["restitution"])
+
+PROBLEM = zo.Problem(
+    name="oscillator",
+    title="mass on a spring, far from its stop",
+    source="a test",
+    state_names=("q", "v", *(["t"] if {timed} else [])),
+    state_units=("m", "m/s", *(["s"] if {timed} else [])),
+    parameters=(
+        zo.Quantity.positive("m", 1.0, "kg", "mass"),
+        zo.Quantity.positive("k", 1.0, "N/m", "stiffness"),
+        zo.Quantity.restitution(0.5),
+    ),
+    gains=(),
+    model=model,
+    starts=({{"q": 0.5}},),
+    portraits=(("q", "v"),),
+    amplitude_of="q",
+)
+"""
+
+
+def _oscillator(*, timed: bool) -> str:
+    """Write the file of a mass on a spring, and return its name."""
+    Path("oscillator.py").write_text(_OSCILLATOR.format(timed=timed))
+    return "oscillator.py"
+
+
+@pytest.mark.parametrize("command", ["search", "continue"])
+def test_a_motion_without_events_is_told_as_such(command: str) -> None:
+    words = ["--parameter", "m=1:2"] if command == "continue" else []
+    answer = ask(command, _oscillator(timed=False), *words)
+    assert answer.code == NO
+    told = f"{answer.out}{answer.err}"
+    assert "No event occurred in the simulated time. An orbit needs an impact or a switch." in told
+    assert "settled" not in told
+    # From beyond its stop it has impacts, and comes to rest.
+    if command == "search":
+        struck = ask(command, "oscillator.py", "--start", "q=3")
+        assert "No event occurred" not in struck.out
+
+
+@pytest.mark.parametrize("command", ["search", "continue", "map"])
+def test_a_machine_with_a_time_has_no_orbit_in_any_command(command: str) -> None:
+    words = {
+        "search": [],
+        "continue": ["--parameter", "m=1:2"],
+        "map": ["--x", "m=1:2", "--y", "k=1:2"],
+    }
+    answer = ask(command, _oscillator(timed=True), *words[command])
+    assert answer.code == MISUSE
+    assert "its clock is a `zo.Time`" in answer.err
+    assert "longer" not in answer.err
+
+
+def test_a_problem_file_is_executed_once_per_content() -> None:
+    file = _oscillator(timed=False)
+    assert ask("simulate", file, "--until", "1").out.count("The file runs.") == 1
+    # A changed file is executed again.
+    Path(file).write_text(Path(file).read_text().replace("The file runs.", "It runs again."))
+    assert ask("simulate", file, "--until", "1").out.count("It runs again.") == 1
+
+
+@pytest.mark.slow
+def test_workers_do_not_repeat_what_a_problem_file_prints(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    words = ["--x", "m=1:2", "--y", "k=1:2", "--grid", "2x2", "--until", "20", "-j", "2"]
+    answer = ask("map", _oscillator(timed=False), *words)
+    said = capfd.readouterr()
+    assert f"{answer.out}{answer.err}{said.out}{said.err}".count("The file runs.") == 1
+
+
+@pytest.mark.parametrize("form", [["-o", "{}"], ["-o{}"], ["--output={}"], ["--plot", "{}"]])
+def test_a_file_with_a_slash_at_its_end_is_refused(here: Path, form: list[str]) -> None:
+    words = [one.format("run.png/" if form[0] == "--plot" else "run/") for one in form]
+    answer = ask("simulate", "bouncing_ball", "--until", "1", *words)
+    assert_refused(answer, "names a folder: add the name of the file")
+    assert contents(here) == {}
+    if form[0] != "--plot":
+        words = [one.rstrip("/") for one in words]
+        assert ask("simulate", "bouncing_ball", "--until", "1", *words).code == YES
+        assert Path("run").is_file()

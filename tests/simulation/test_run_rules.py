@@ -209,7 +209,7 @@ def test_progress_begins_at_nothing_where_an_execution_begins_at_its_zeno_point(
         settings=settings,
         on_progress=lambda what, part: told.append((what, part)),
     )
-    assert told == [("simulating", 0.0), ("simulating", 1.0)]
+    assert told == [("simulating", 0.0), ("simulating, 4 of 4 s", 1.0)]
     assert [arc.mode for arc in run.arcs] == [Mode.LOCKED]
     assert run.zeno_points[0].time == 0.0
 

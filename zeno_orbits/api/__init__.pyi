@@ -23,6 +23,7 @@ from .feedbacks import stabilize as stabilize
 from .inputs import any_orbit as any_orbit
 from .inputs import as_orbit as as_orbit
 from .inputs import known_problem as known_problem
+from .inputs import repeating_problem as repeating_problem
 from .inputs import problem_of as problem_of
 from .inputs import problem_to_check as problem_to_check
 from .inputs import problem_or_orbit as problem_or_orbit

@@ -87,6 +87,8 @@ def require_outputs(
         path: Path | None = getattr(options, name)
         if path is None:
             continue
+        if kind is not FOLDER:
+            _require_no_folder(path, name, options.words)
         if kind is PICTURE:
             require_picture(path, name)
         elif kind is FOLDER:
@@ -98,3 +100,19 @@ def require_outputs(
             wanted = f"must be another file than {other}, but both are `{path}`"
             raise InputError(f"Argument `{name}` {wanted}.")
         kind.require(path, name, draws=PICTURE in outputs.values())
+
+
+def _require_no_folder(path: Path, argument: str, words: Sequence[str]) -> None:
+    """Refuse a file whose name was typed with a slash at its end, which a path drops.
+
+    Raises:
+        InputError: If it was.
+    """
+    for word in words:
+        glued = word[2:] if word.startswith("-") else word
+        typed = word.partition("=")[2] if word.startswith("--") else glued
+        if typed.endswith(("/", os.sep)) and Path(typed) == path:
+            raise InputError(
+                f"Argument `{argument}` must be a file, but `{typed}` names a folder: "
+                f"add the name of the file."
+            )

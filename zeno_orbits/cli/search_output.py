@@ -156,7 +156,10 @@ def _levers(
 ) -> list[str]:
     """Return the options and commands that may lead to an orbit after a failed search."""
     found: list[str] = []
-    if result.status.name == "NO_GUESS" and not notes.driven:
+    if result.status.name == "NO_EVENTS":
+        found.append("--start STATE=VALUE, for a motion that reaches a stop or a switch.")
+        found.append("--until T, to simulate for longer.")
+    elif result.status.name == "NO_GUESS" and not notes.driven:
         found.append("a problem with a drive or a clock: without one, motion comes to rest.")
     elif result.status.name == "NO_GUESS":
         found.append("--start STATE=VALUE, to simulate from elsewhere.")
@@ -174,7 +177,7 @@ def _levers(
     if notes.bounds:
         kept = ", ".join(f"{bound.name}={bound.text}" for bound in notes.bounds)
         found.append(f"a wider --bounds than {kept}.")
-    if notes.free and result.status.name != "NO_GUESS":
+    if notes.free and not result.status.lacks_motion:
         ranges = ", ".join(f"{name}={low:g}:{high:g}" for name, (low, high) in notes.free.items())
         found.append(f"wider ranges than {ranges} (--vary).")
     if not notes.free and problem.gains:

@@ -441,14 +441,28 @@ class ProblemFile:
 
 
 def locate_problem(name_or_path: str | Path) -> ProblemFile:
-    """Return the source of a problem.
+    """Return the source of a problem. A file is executed once per process and content.
 
     Raises:
         InputError: If the problem does not exist.
         ProblemFileError: If its file does not define a problem.
     """
     name, fidelity = split_fidelity(name_or_path)
-    load_problem(name_or_path)
+    _tell_of_namesake(name)
+    known = None
+    with suppress(OSError, ValueError, RuntimeError):
+        known = _located(name, fidelity)
+    if known is not None and known in _LOADED:
+        return known
+    # By the word of the user, which messages repeat.
+    problem = _of_word(name_or_path)
+    file = known or _located(name, fidelity)
+    _keep(file, problem)
+    return file
+
+
+def _located(name: str, fidelity: str | None) -> ProblemFile:
+    """Return the source of a problem, without loading it."""
     word = name if name in bundled_problems() else str(Path(name).resolve())
     whole = word if fidelity is None else f"{word}@{fidelity}"
     return ProblemFile(word=whole, digest=_digest(whole))
@@ -465,12 +479,26 @@ def _digest(word: str) -> str:
     return digest.hexdigest()
 
 
-@lru_cache(maxsize=_MOST)
+_LOADED: dict[ProblemFile, Problem] = {}
+"""The last problems of this process, so that each is the same object in all calls."""
+
+
+def _keep(file: ProblemFile, problem: Problem) -> None:
+    """Cache a problem, in place of the oldest one if there are many."""
+    if len(_LOADED) >= _MOST:
+        _LOADED.pop(next(iter(_LOADED)), None)
+    _LOADED[file] = problem
+
+
 def _loaded(problem_file: ProblemFile) -> Problem:
+    known = _LOADED.get(problem_file)
+    if known is not None:
+        return known
     problem = _of_word(problem_file.word)
     if _digest(problem_file.word) != problem_file.digest:
         raise InputError(
             f"Argument `problem` must be the same file for all workers, but "
             f"`{problem_file.word}` is another file here."
         )
+    _keep(problem_file, problem)
     return problem

@@ -154,7 +154,7 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
         for outcome in outcomes:
             attempts.append(_attempt(search, outcome))
             n_orbits += 0 if outcome.result is None else outcome.result.n_orbits
-            failures += outcome.status not in (SearchStatus.NO_GUESS, SearchStatus.FOUND)
+            failures += not (outcome.status.lacks_motion or outcome.status is SearchStatus.FOUND)
             if outcome.candidate is None:
                 best = outcome if best is None else max(best, outcome, key=_merit)
             else:
@@ -254,7 +254,7 @@ def _has_event(search: SearchProblem, orbit: Orbit, name: str, state: Vector) ->
 
 def _only_contact(search: SearchProblem, attempts: Sequence[StartAttempt]) -> bool:
     """Return True if no start led to an orbit and every point of the scan stays in contact."""
-    if not search.free or any(one.status is not SearchStatus.NO_GUESS for one in attempts):
+    if not search.free or not all(one.status.lacks_motion for one in attempts):
         return False
     from zeno_orbits.search.starts.scan import stays_in_contact
 
@@ -347,6 +347,7 @@ def _enough_failures(search: SearchProblem) -> int:
 
 
 _FARTHEST_LAST = (
+    SearchStatus.NO_EVENTS,
     SearchStatus.NO_GUESS,
     SearchStatus.NOT_SOLVED,
     SearchStatus.NOT_FOLLOWED,

@@ -16,10 +16,16 @@ class SearchStatus(Enum):
     """Result of a search. The value is the sentence shown to the user."""
 
     FOUND = "The search found an orbit."
+    NO_EVENTS = "No event occurred in the simulated time. An orbit needs an impact or a switch."
     NO_GUESS = "No simulation settled to a periodic motion from which to search."
     NOT_SOLVED = "The conditions of the orbit could not be met."
     NOT_FOLLOWED = "Simulating the solution does not reproduce it."
     NOT_ACCEPTED = "The orbits that were found were not accepted."
+
+    @property
+    def lacks_motion(self) -> bool:
+        """True if no simulation reached a motion from which to search."""
+        return self in (SearchStatus.NO_EVENTS, SearchStatus.NO_GUESS)
 
 
 class SearchMethod(Enum):

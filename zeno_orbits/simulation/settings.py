@@ -79,6 +79,11 @@ class SimulationTask:
         """Look at the system as a graph of modes."""
         object.__setattr__(self, "graph", self.dynamics.as_graph())
 
+    def report(self, reached: float) -> None:
+        """Report the simulated time [s]: a part of a long time is 0 % for long."""
+        done = f"simulating, {reached:.5g} of {self.until:g} s"
+        self.on_progress(done, reached / self.until)
+
     @property
     def past_switch(self) -> int:
         """One more than the index of the switch that has just occurred, 0 for none, -1 for any."""

@@ -140,7 +140,7 @@ def by_reference(task: SimulationTask, *, plain: bool = True) -> Execution:
     try:
         while start is not None:
             start = run.after_phase(start)
-            task.on_progress("simulating", run.reached / task.until)
+            task.report(run.reached)
     except SimulationError as error:
         error.execution = run.execution() if run.has_flown else None
         raise

@@ -240,8 +240,8 @@ def _begin(parent: int, notes: str) -> None:
         parent: Identifier of the parent process.
         notes: Folder of the parent's progress files, removed if the parent ended without doing so.
     """
-    # What the code of a problem prints does not belong to the output of a command.
-    sys.stdout = sys.stderr
+    # The parent has printed what the code of a problem prints.
+    sys.stdout = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

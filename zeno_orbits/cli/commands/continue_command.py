@@ -187,7 +187,7 @@ def _problem(options: argparse.Namespace) -> zo.Problem:
     if Path(options.problem).suffix != ".json":
         if options.problem_file is not None:
             raise InputError("Argument `--problem` needs an orbit file in place of PROBLEM.")
-        return api.known_problem(options.problem)
+        return api.repeating_problem(options.problem)
     if options.start_orbit is not None:
         raise InputError(f"Argument `--near` is not needed: the start is `{options.problem}`.")
     options.start_orbit = Path(options.problem)

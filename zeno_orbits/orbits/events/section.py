@@ -17,7 +17,7 @@ from statistics import linear_regression
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError, UnsettledError
+from zeno_orbits.errors import EventlessError, InputError, SimulationError, UnsettledError
 from zeno_orbits.model import GraphDynamics, event_of_setting, require_zeno_points
 from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.section import (
@@ -940,7 +940,7 @@ def near_return(
         )
     names = [orbit_event_name(event) for event in execution.events]
     if not names:
-        raise UnsettledError(
+        raise EventlessError(
             "The motion strikes no stop and passes no switch: simulate for longer (`until`), or "
             "start elsewhere (`start`)",
             time=execution.end_time,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 
-from zeno_orbits.errors import SimulationError, UnsettledError
+from zeno_orbits.errors import EventlessError, SimulationError, UnsettledError
 from zeno_orbits.model import ParameterValues
 from zeno_orbits.orbits import (
     EventReturn,
@@ -38,11 +38,13 @@ class FollowedMotion:
         found: The orbit to which it settles, if there is one.
         reason: Reason of a missing orbit, as a clause. Empty with an orbit.
         undecided: True if the motion had not settled at its time limit.
+        status: Status of a search that starts from this motion, if no orbit was found.
     """
 
     found: EventReturn | None
     reason: str = ""
     undecided: bool = False
+    status: SearchStatus = SearchStatus.NO_GUESS
 
 
 _NOT_FOLLOWED = FollowedMotion(found=None, reason="no orbit is near")
@@ -83,7 +85,7 @@ def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
         numbers = search.numbers(start.values)
         detail = f"{f'At {listed(numbers)}, ' if numbers else ''}{motion.reason}."
         outcome = StartOutcome(
-            status=SearchStatus.NO_GUESS,
+            status=motion.status,
             detail=detail[0].upper() + detail[1:],
             undecided=motion.undecided,
         )
@@ -113,7 +115,9 @@ def simulated(search: SearchProblem, values: ParameterValues) -> FollowedMotion:
         clause = re.split(": (?:start|simulate) ", error.reason)[0]
         reason = f"{clause[0].lower()}{clause[1:]}"
         undecided = isinstance(error, UnsettledError)
-        return FollowedMotion(found=None, reason=reason, undecided=undecided)
+        none = isinstance(error, EventlessError)
+        status = SearchStatus.NO_EVENTS if none else SearchStatus.NO_GUESS
+        return FollowedMotion(found=None, reason=reason, undecided=undecided, status=status)
     return FollowedMotion(found=found)
 
 

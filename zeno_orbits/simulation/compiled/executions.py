@@ -65,7 +65,7 @@ def by_loop(task: SimulationTask) -> Execution | None:
         while not run.is_over:
             run.go_on(**rows)
             reached = task.until if run.is_over else run.loop.now()[0]
-            task.on_progress("simulating", reached / task.until)
+            task.report(reached)
         return run.execution()
     except UnknownOperationError:
         # Of a mode that the motion has come to.
