@@ -452,7 +452,7 @@ def locate_problem(name_or_path: str | Path) -> ProblemFile:
     known = None
     with suppress(OSError, ValueError, RuntimeError):
         known = _located(name, fidelity)
-    if known is not None and known in _LOADED:
+    if known is not None and known in _LOCATED:
         return known
     # By the word of the user, which messages repeat.
     problem = _of_word(name_or_path)
@@ -479,26 +479,27 @@ def _digest(word: str) -> str:
     return digest.hexdigest()
 
 
-_LOADED: dict[ProblemFile, Problem] = {}
-"""The last problems of this process, so that each is the same object in all calls."""
+_LOCATED: dict[ProblemFile, Problem] = {}
+"""The last problems that were located in this process, which execute their files once."""
 
 
 def _keep(file: ProblemFile, problem: Problem) -> None:
     """Cache a problem, in place of the oldest one if there are many."""
-    if len(_LOADED) >= _MOST:
-        _LOADED.pop(next(iter(_LOADED)), None)
-    _LOADED[file] = problem
+    if len(_LOCATED) >= _MOST:
+        _LOCATED.pop(next(iter(_LOCATED)), None)
+    _LOCATED[file] = problem
 
 
+@lru_cache(maxsize=_MOST)
 def _loaded(problem_file: ProblemFile) -> Problem:
-    known = _LOADED.get(problem_file)
-    if known is not None:
-        return known
-    problem = _of_word(problem_file.word)
-    if _digest(problem_file.word) != problem_file.digest:
+    is_same = False
+    with suppress(OSError):
+        is_same = _digest(problem_file.word) == problem_file.digest
+    known = _LOCATED.get(problem_file) if is_same else None
+    problem = _of_word(problem_file.word) if known is None else known
+    if not is_same:
         raise InputError(
             f"Argument `problem` must be the same file for all workers, but "
             f"`{problem_file.word}` is another file here."
         )
-    _keep(problem_file, problem)
     return problem
