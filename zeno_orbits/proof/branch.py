@@ -100,7 +100,13 @@ def prove_branch(
         given = f"but it is {box[0]!r}:{box[1]!r}"
         remedy = f"Widen the interval, or search an orbit in it, as with --set {name}={box[0]!r}"
         raise InputError(f"Argument `branch` {wanted}, {given}. {remedy}.")
-    here = prove_orbit(orbit, problem, settings=ProofSettings(bits=settings.bits))
+    here = prove_orbit(
+        orbit,
+        problem,
+        settings=ProofSettings(bits=settings.bits),
+        # Its part of the time of all ranges is not known yet.
+        on_progress=lambda stage, _=None: on_progress(f"the orbit itself: {stage}", None),
+    )
     if not here.proved:
         return _failed(problem, name, box, here.claim, here.reason)
     try:
