@@ -64,6 +64,7 @@ def test_the_fastest_contraction_is_at_the_least_restitution() -> None:
     assert found.value == pytest.approx(0.09, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_worst_case_over_a_range_has_its_closed_form() -> None:
     # The corner with the least push decides the bound, and the one with the largest push the loss.
     found = _search(
@@ -78,6 +79,18 @@ def test_the_worst_case_over_a_range_has_its_closed_form() -> None:
     assert found.worst_at == {"a": 25.0}
     assert found.mean == pytest.approx(20.0 * s, rel=1e-6)
     assert found.asked[0]["lowest"] == pytest.approx(2.0, rel=1e-6)
+
+
+def test_an_orbit_of_many_events_is_compared_with_a_program_on_request(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("zeno_orbits.search.starts.strategy._MOST_COMPARED", 3)
+    alone = zo.find_orbit("hopper")
+    assert (alone.n_unknowns, alone.orbit is not None) == (0, True)
+    asked = zo.find_orbit("hopper", method=zo.SearchMethod.PROGRAM)
+    assert asked.n_unknowns > 0
+    assert asked.orbit is not None
+    assert asked.orbit.period == pytest.approx(alone.unwrap().period, rel=1e-9)
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -249,8 +250,12 @@ class _Task:
         """Return free values from the unit box."""
         return self.ranges[:, 0] + u * (self.ranges[:, 1] - self.ranges[:, 0])
 
-    def trial(self, u: Vector) -> Sample:
+    def trial(self, u: Vector, *, settles: bool = True) -> Sample:
         """Return objective and rows at free values in the unit box.
+
+        Args:
+            u: The free values in the unit box.
+            settles: Whether a motion may settle to an orbit that is not near the last orbit.
 
         Raises:
             SimulationError: If no orbit is found near the last orbit.
@@ -258,7 +263,7 @@ class _Task:
         """
         self.on_progress("optimizing", None)
         numbers = self.numbers(u)
-        points = tuple(self.orbits.at(numbers, corner) for corner in self.corners)
+        points = tuple(self.orbits.at(numbers, corner, settles=settles) for corner in self.corners)
         costs = tuple(
             tuple(map(self._in_box, self.objective.costs(_Costed(self, point, numbers))))
             for point in points
@@ -322,7 +327,9 @@ class _Task:
         """
         if not self.objective.has_edges:
             return found
-        return along_edges(self.trial, found, abs(first.value) or 1.0)
+        # Steps shrink until the orbit is near, so no motion has to settle anew.
+        near = partial(self.trial, settles=False)
+        return along_edges(near, found, abs(first.value) or 1.0)
 
     def _in_box(self, slope: Slope) -> Slope:
         """Return a number with its derivative with respect to the free values in the unit box."""

@@ -324,12 +324,16 @@ class OrbitsOverValues:
         """
         self._last[tuple((corner or {}).items())] = found
 
-    def at(self, numbers: Vector, corner: dict[str, float]) -> OrbitAtValues:
+    def at(
+        self, numbers: Vector, corner: dict[str, float], *, settles: bool = True
+    ) -> OrbitAtValues:
         """Return the orbit at free values and a corner of uncertain parameters.
 
         Args:
             numbers: The free values, ``(k,)``.
             corner: Values of the uncertain parameters.
+            settles: Whether a motion is simulated until it settles if no orbit is near the last.
+                This takes long where motions decay slowly.
 
         Raises:
             SimulationError: If no orbit is found near the last orbit.
@@ -343,6 +347,8 @@ class OrbitsOverValues:
         try:
             found = self._closed(graph, near, section, chosen)
         except SimulationError:
+            if not settles:
+                raise
             try:
                 settled = settled_return(
                     self.problem,

@@ -47,6 +47,9 @@ class FollowedMotion:
     status: SearchStatus = SearchStatus.NO_GUESS
 
 
+_MOST_COMPARED = 200
+"""Events per period up to which a program is compared: 390 events take it more than 4 minutes."""
+
 _NOT_FOLLOWED = FollowedMotion(found=None, reason="no orbit is near")
 
 
@@ -208,7 +211,7 @@ def paths_of(search: SearchProblem, values: ParameterValues) -> OrbitPaths:
 def _compared(search: SearchProblem, best: BestOrbit) -> StartOutcome:
     """Return an orbit with its agreement with a program, whose mesh is refined until they agree.
 
-    Shooting compares no program.
+    Shooting compares no program, and neither does the default method if there are many events.
     """
     values, found = best.values, best.found
     problem, settings = search.problem, search.settings
@@ -230,6 +233,12 @@ def _compared(search: SearchProblem, best: BestOrbit) -> StartOutcome:
     )
     if search.method is SearchMethod.SHOOTING:
         return StartOutcome(status=SearchStatus.FOUND, solution=solution)
+    if search.method is SearchMethod.AUTO and len(found.events) > _MOST_COMPARED:
+        detail = (
+            f"Its {len(found.events)} events per period take a program minutes: no program is "
+            "compared with it (`method`, --method program)."
+        )
+        return StartOutcome(status=SearchStatus.FOUND, detail=detail, solution=solution)
     seen = agreement_of(graph, found, settings.transcription)
     for _ in range(settings.rounds - 1):
         if seen.difference <= settings.agreement:
