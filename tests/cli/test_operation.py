@@ -208,6 +208,7 @@ def test_any_legal_file_name_is_written(
     assert path.stat().st_size > 100
 
 
+@pytest.mark.slow
 def test_a_map_with_a_long_name_keeps_its_parts_until_it_is_done(tmp_path: Path) -> None:
     path = tmp_path / ("x" * 245 + ".json")
     answer = ask(*SMALL, "--grid", "2x2", "--workers", "1", "-o", path)

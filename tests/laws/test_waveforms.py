@@ -371,6 +371,7 @@ def test_a_relay_closes_as_in_an_independent_event_loop(times: tuple[float, floa
         assert speeds == pytest.approx(told, abs=LOCATED)
 
 
+@pytest.mark.slow
 def test_a_relay_at_its_published_times_closes_almost_without_impact() -> None:
     plain = 2.65121545e-3
     assert lost_when_closing(SOFT) < 1e-5 * plain

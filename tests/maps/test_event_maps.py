@@ -93,6 +93,7 @@ def test_a_weak_force_does_not_reach_the_stops() -> None:
     assert _attractor("clapper", c=c, A=0.0).fate is AttractorClass.REST
 
 
+@pytest.mark.slow
 def test_the_phrase_of_an_orbit_counts_events_and_zeno_points() -> None:
     found = _attractor("relay")
     assert found.phrase == "Zeno periodic orbit, 6 events, 2 Zeno points"

@@ -105,7 +105,8 @@ CEILING = zo.Problem(
 )
 
 
-@pytest.mark.parametrize("above", fast(1, [0.1, 0.01, 0.5, 10.0]))
+@pytest.mark.slow
+@pytest.mark.parametrize("above", [0.1, 0.01, 0.5, 10.0])
 def test_a_ball_ends_where_the_ceiling_is_struck(above: float) -> None:
     # The apex of a hop is v^2 / 2 g + a s / g above the floor. One that is higher than the ceiling
     # has another event sequence, although it may return to the orbit.
@@ -428,7 +429,8 @@ def test_an_impact_pair_recovers_as_its_closed_form(k: int) -> None:
     assert all(factor > found.settings.part for factor in factors[:-1])
 
 
-@pytest.mark.parametrize("k", fast(1, range(2)))
+@pytest.mark.slow
+@pytest.mark.parametrize("k", range(2))
 def test_states_of_the_ball_of_an_impact_pair_return_and_a_larger_ball_is_left(k: int) -> None:
     pair, orbit, found = recovering_pair(k)
     drawn, side = np.random.default_rng(k), side_of(orbit)

@@ -45,6 +45,15 @@ CORES = int(joblib.cpu_count())
 ONE = ExecutionPlan(place=Workers(count=1), chunk=4)
 BALL = ("map", "bouncing_ball", "--x", "m=1:2", "--y", "restitution=0:0.5", "--grid", "3x2")
 
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The finished points of the map of the ball: to start a worker takes a second."""
+    kept = tmp_path_factory.mktemp("finished") / "kept"
+    assert ask(*BALL, "--workers", "1", "--checkpoint", kept).code == NO
+    return kept
+
+
 needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
 
 
@@ -333,8 +342,8 @@ def test_a_map_file_that_is_not_whole_is_refused(
 # ---------------------------------------------------------------------------- the command
 
 
-def test_the_command_answers_no_where_nothing_settles_to_a_zeno_orbit() -> None:
-    answer = ask(*BALL, "--workers", "1")
+def test_the_command_answers_no_where_nothing_settles_to_a_zeno_orbit(finished: Path) -> None:
+    answer = ask(*BALL, "--workers", "1", "--checkpoint", finished)
     assert (answer.code, answer.err) == (NO, "")
     assert "rest" in answer.out
     assert "100.0 %" in answer.out
@@ -355,8 +364,9 @@ def test_the_command_answers_yes_with_file_and_picture_and_removes_its_checkpoin
     assert np.all(np.isfinite(found.margin("locked_time")))
 
 
-def test_json_is_the_content_of_the_file(tmp_path: Path) -> None:
-    answer = ask(*BALL, "--workers", "1", "--json", "-o", tmp_path / "map.json")
+def test_json_is_the_content_of_the_file(tmp_path: Path, finished: Path) -> None:
+    words = ("--json", "-o", tmp_path / "map.json", "--checkpoint", finished)
+    answer = ask(*BALL, "--workers", "1", *words)
     assert answer.data == json.loads((tmp_path / "map.json").read_text())
 
 
@@ -503,13 +513,14 @@ def test_a_file_without_curves_of_the_plane_is_refused(
         read_boundaries(path, "m", "e")
 
 
-def test_curves_are_drawn_on_top_and_need_a_picture(tmp_path: Path) -> None:
+def test_curves_are_drawn_on_top_and_need_a_picture(tmp_path: Path, finished: Path) -> None:
     curves = _curves(tmp_path / "curves.json", ["m", "restitution"])
     answer = ask(*BALL, "--boundaries", curves)
     assert answer.code == MISUSE
     assert "needs --plot" in answer.err
     picture = tmp_path / "map.png"
-    assert ask(*BALL, "--workers", "1", "--boundaries", curves, "--plot", picture).code == NO
+    words = ("--checkpoint", finished, "--boundaries", curves, "--plot", picture)
+    assert ask(*BALL, "--workers", "1", *words).code == NO
     assert picture.stat().st_size > 0
 
 

@@ -90,6 +90,7 @@ def agrees(machine: TwoWalls, found: Attractor, turns: int = 400) -> bool | None
     return same and bool(found.sequence) == truth.strikes
 
 
+@pytest.mark.slow
 def test_random_machines_with_two_stops_have_the_periods_of_exact_flights() -> None:
     drawn = random.Random(11)
     machines = [machine_of(drawn) for _ in range(3)]

@@ -68,12 +68,12 @@ def _checked_points(seed: int, n: int = 4) -> int:
 
 def test_a_branch_of_a_random_formula_is_the_formula() -> None:
     # About one point in three is outside of the domain of an operation.
-    assert sum(_checked_points(seed) for seed in range(100)) > 150
+    assert sum(_checked_points(seed) for seed in range(40)) > 60
 
 
 @pytest.mark.slow
 def test_a_branch_of_a_thousand_random_formulas_is_the_formula() -> None:
-    assert sum(_checked_points(seed) for seed in range(100, 1100)) > 1500
+    assert sum(_checked_points(seed) for seed in range(40, 1100)) > 1590
 
 
 @pytest.mark.parametrize("name", [*UNARY, *BINARY])

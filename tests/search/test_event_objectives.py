@@ -75,6 +75,7 @@ def test_the_peak_of_a_speed_is_its_value_before_an_impact() -> None:
     assert found.value == pytest.approx(CoilHop(voltage=8.0).impact_speed, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_a_third_harmonic_takes_its_known_part_from_the_peak_of_a_sine() -> None:
     # sin + sin(3)/6 has the peak sqrt(3)/2, the least of all third harmonics.
     found = zo.search_gains(wave_coil((3,)), objective=zo.MinPeak(signal="current"))
@@ -154,6 +155,7 @@ def test_bounds_on_signals_and_numbers_are_touched_where_they_decide() -> None:
         assert asked["kept"]
 
 
+@pytest.mark.slow
 def test_the_least_energy_keeps_a_bound_on_a_signal() -> None:
     found = _search(zo.MinEnergy(), bounds=[zo.Bound(name="current", upper=3.0)])
     voltage = _voltage(lambda hop: hop.currents[1], 3.0)
@@ -429,6 +431,7 @@ def test_a_known_orbit_of_another_machine_or_format_is_refused() -> None:
         zo.find_orbit(COIL_HOPPER, near=orbit).unwrap()
 
 
+@pytest.mark.slow
 def test_worst_energies_of_one_stop_are_those_of_its_list_of_events() -> None:
     objective = zo.MinEnergy(uncertain={"c": (1.8, 2.0)})
     options = {"vary": {"A": (0.9, 1.1)}, "objective": objective}

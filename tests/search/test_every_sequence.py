@@ -158,6 +158,7 @@ def test_one_class_is_an_objective_of_both_methods(method: zo.SearchMethod) -> N
     assert found.free["a"] == pytest.approx(24.0, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_the_worst_corner_has_its_closed_form() -> None:
     e = 0.5
     found = zo.search_gains(
@@ -176,7 +177,11 @@ def test_the_worst_corner_has_its_closed_form() -> None:
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("clapper", {"objective": zo.MinImpactLoss(), "vary": {"A": (4.5, 7.0), "c": (0.05, 0.5)}}),
+        pytest.param(
+            "clapper",
+            {"objective": zo.MinImpactLoss(), "vary": {"A": (4.5, 7.0), "c": (0.05, 0.5)}},
+            marks=pytest.mark.slow,
+        ),
         (
             "hopper",
             {
