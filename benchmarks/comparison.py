@@ -101,7 +101,7 @@ def exact(one: Machine, samples: float) -> Recording:
     """Return samples of the whole motion without noise, without its clock."""
     problem = one.problem
     sampling = Sampling(rate=samples / one.orbit.period)
-    whole = sampled(problem, problem.dynamics(problem.values()), one.motion, sampling)
+    whole = sampled(problem, one.motion, sampling)
     clock = {problem.state_names[k] for k in problem.compiled().clock}
     return replace(whole, signals=tuple(s for s in whole.signals if s.name not in clock))
 

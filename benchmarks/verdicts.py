@@ -145,7 +145,7 @@ def other(
     period = machine(name, CYCLES).orbit.period
     begin = dynamics.on_stop(np.array(problem.state_vector(start)))
     motion = simulate(dynamics, begin, until=(60 + CYCLES) * period)
-    whole = sampled(problem, dynamics, motion, Sampling(rate=SAMPLES / period))
+    whole = sampled(problem, motion, Sampling(rate=SAMPLES / period))
     kept = {s.name for s in copied(name).signals}
     signals = tuple(s for s in whole.signals if s.name in kept)
     part = crop_recording(replace(whole, signals=signals), 60 * period, (60 + CYCLES) * period)

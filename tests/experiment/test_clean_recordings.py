@@ -14,7 +14,7 @@ from zeno_orbits.experiment import (
     fit_parameters,
     sampled,
 )
-from zeno_orbits.model import HybridDynamics, Problem, load_problem
+from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.simulation import Execution, simulate
 
 SOUGHT = {
@@ -24,7 +24,7 @@ SOUGHT = {
 SETTLED = {"motor_pendulum": 20.0, "forced_oscillator": 30.0}
 """From then on both repeat to 1e-11."""
 
-Motion = tuple[Problem, HybridDynamics, Execution]
+Motion = tuple[Problem, Execution]
 
 
 @pytest.fixture(
@@ -36,12 +36,12 @@ def motion(request: pytest.FixtureRequest) -> Motion:
     dynamics = problem.dynamics(problem.values())
     until = SETTLED[problem.name] + 20.0
     start = problem.state_vector(problem.starts[0])
-    return problem, dynamics, simulate(dynamics, start, until=until)
+    return problem, simulate(dynamics, start, until=until)
 
 
 def settled(motion: Motion, rate: float, *, velocities: bool) -> Recording:
-    problem, dynamics, execution = motion
-    whole = sampled(problem, dynamics, execution, Sampling(rate=rate))
+    problem, execution = motion
+    whole = sampled(problem, execution, Sampling(rate=rate))
     n_q = problem.compiled().n_q
     rates = () if velocities else problem.state_names[n_q : 2 * n_q]
     kept = tuple(one for one in whole.signals if one.name not in rates)

@@ -37,7 +37,7 @@ def settling(problem: Problem) -> Recording:
     values = problem.values(parameters=TRUTH)
     dynamics = problem.dynamics(values)
     motion = simulate(dynamics, problem.state_vector(problem.starts[0]), until=13.0)
-    whole = sampled(problem, dynamics, motion, Sampling(rate=200.0, noise=5e-3))
+    whole = sampled(problem, motion, Sampling(rate=200.0, noise=5e-3))
     return replace(whole, signals=tuple(one for one in whole.signals if one.name in SIGNALS))
 
 

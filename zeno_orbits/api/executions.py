@@ -170,10 +170,8 @@ def sample_execution(
     from zeno_orbits.experiment import Sampling, sampled
 
     known = known_problem(problem)
-    values = known.values(gains=gains, parameters=parameters)
-    dynamics = None if known.has_graph else known.dynamics(values)
-    sampling = Sampling(rate=rate, noise=noise, seed=seed)
-    return sampled(known, dynamics, execution, sampling)
+    known.values(gains=gains, parameters=parameters)
+    return sampled(known, execution, Sampling(rate=rate, noise=noise, seed=seed))
 
 
 def require_samples(until: float, *, rate: float, noise: float, seed: int) -> None:

@@ -21,13 +21,12 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.sequences import OrbitSequence, orbit_sequences
 from zeno_orbits.integrators import FlowWithEvent
-from zeno_orbits.model import Columns, GraphDynamics, HybridDynamics, Problem, dense_function
+from zeno_orbits.model import Columns, GraphDynamics, Problem, dense_function
 from zeno_orbits.orbits import Orbit, event_return
 from zeno_orbits.simulation import (
     Arc,
     Ending,
     Impact,
-    Mode,
     SimulationSettings,
     ZenoPoint,
     signal,
@@ -471,14 +470,6 @@ def signal_nodes(states: CubicColumns, measured: Measurement, p: Vector) -> Cubi
         times=states.times,
         values=measured.values(states.values, p),
         slopes=np.einsum("nsx,nx->ns", slopes, states.slopes),
-    )
-
-
-def state_nodes(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> CubicColumns:
-    """Return the states along arcs in order, those that take no time left out."""
-    flows = {Mode.LOCKED: dynamics.locked, Mode.FREE: dynamics.free}
-    return _joined(
-        [_arc_nodes(flows[arc.mode], arc) for arc in arcs if arc.end_time > arc.start_time]
     )
 
 

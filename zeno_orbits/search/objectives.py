@@ -476,12 +476,8 @@ class MinPeak(WorstCase):
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject an unknown signal, and ranges without a meaning."""
         from zeno_orbits.orbits import course_signal_names
-        from zeno_orbits.simulation import signal_names
 
-        if problem.has_graph:
-            known = course_signal_names(problem.compiled_graph())
-        else:
-            known = signal_names(problem.compiled())
+        known = course_signal_names(problem.compiled_graph())
         if self.signal not in known:
             raise InputError(f"Argument `objective`: {not_known(self.signal, known)}")
         WorstCase.check(self, problem, free)

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment.orbit_table import state_nodes
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
-from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.model import Problem
 from zeno_orbits.simulation import Execution
 from zeno_orbits.work import require_kinds
 
@@ -72,14 +71,11 @@ def require_share(noise: float) -> None:
         raise InputError(f"Argument `noise` {wanted}, but it is {noise:g}.")
 
 
-def sampled(
-    problem: Problem, dynamics: HybridDynamics | None, execution: Execution, sampling: Sampling
-) -> Recording:
+def sampled(problem: Problem, execution: Execution, sampling: Sampling) -> Recording:
     """Return the states of an execution at evenly spaced times.
 
     Args:
         problem: The problem.
-        dynamics: The system that was simulated, or ``None`` for several stops or switches.
         execution: The execution to record.
         sampling: Sampling interval and noise.
 
@@ -88,11 +84,7 @@ def sampled(
     """
     time = np.arange(sampling.count(execution.end_time)) / sampling.rate
     time_inside = np.minimum(time, execution.end_time)
-    if dynamics is None:
-        values = execution.states_at(time_inside)
-    else:
-        values = state_nodes(dynamics, execution.arcs).at(time_inside)
-    values = values[:, : len(problem.state_names)]
+    values = execution.states_at(time_inside)[:, : len(problem.state_names)]
     extent = np.ptp(values, axis=0)
     random = np.random.default_rng(sampling.seed)
     values = values + sampling.noise * extent * random.normal(size=values.shape)
