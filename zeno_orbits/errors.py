@@ -173,17 +173,6 @@ class TableProofError(TranslationError):
         )
 
 
-class SpeedLawError(TranslationError):
-    """A restitution depends on the impact speed, for which proofs lack a lemma."""
-
-    def __init__(self) -> None:
-        super().__init__("impact_speed")
-        self.args = (
-            "Argument `restitution` must not depend on `impact_speed` in a proof: a lemma that "
-            "impacts accumulate is missing for it, since Lemma 10 assumes a constant restitution.",
-        )
-
-
 class SimulationError(ZenoOrbitsError):
     """An execution could not be continued.
 

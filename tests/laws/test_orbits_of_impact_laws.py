@@ -71,16 +71,6 @@ def test_laws_that_differ_only_at_speed_have_other_equations() -> None:
     assert not same_equations(digest_of(small), digest_of(other))
 
 
-def test_a_proof_is_refused_with_the_missing_lemma() -> None:
-    for work in (zo.prove, zo.enclose_period):
-        try:
-            text = work(_marble()).reason
-        except zo.InputError as error:
-            text = str(error)
-        assert "`restitution` must not depend on `impact_speed`" in text
-        assert "Lemma 10" in text
-
-
 def test_the_loss_of_impacts_moves_as_its_differences() -> None:
     problem = zo.load_problem("marble_table")
     names = [*problem.names]

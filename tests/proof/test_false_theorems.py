@@ -442,6 +442,18 @@ class _Kinked(_Softer):
         return -self.restitution * ca.fabs(approach_rate)
 
 
+class _AtTwiceTheSpeed(ImpactLaw):
+    def speed_after(self, approach_rate: Any) -> Any:
+        return -self.at(-2 * approach_rate) * approach_rate
+
+
+def _of_speed(formula: Callable[[Any, Any], Any], kind: Any = ImpactLaw) -> State:
+    """Return the change to a law of the impact speed ``v`` and the own restitution ``e``."""
+    return lambda system: replace(
+        system, law=kind(system.restitution, lambda v: formula(system.restitution, v))
+    )
+
+
 def _law(kind: Any) -> State:
     return lambda system: replace(system, law=cast("ImpactLaw", kind(system.restitution)))
 
@@ -456,6 +468,11 @@ def _law(kind: Any) -> State:
         (_law(_Softer), "not Newton's law"),
         (_law(_Inconsistent), "not Newton's law"),
         (_law(_Kinked), "`fabs`"),
+        (_of_speed(lambda e, v: e - v / 9, _AtTwiceTheSpeed), "not Newton's law"),
+        (_of_speed(lambda e, v: ca.fmin(e, 1 / v)), "`fmin`"),
+        (_of_speed(lambda e, v: e + 100 * v), "may not be between 0 and 1"),
+        (_of_speed(lambda e, v: e - 100 * v), "may not be between 0 and 1"),
+        (_of_speed(lambda e, v: e * (1 + 1e-9 * v)), "motion"),
     ],
 )
 def test_a_problem_of_another_kind_or_law_is_refused(

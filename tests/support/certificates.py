@@ -63,11 +63,16 @@ def digest_of(problem: Problem) -> str:
         if name.startswith("OP_"):
             names[getattr(ca, name)] = name[3:]
     text = f"{f.numel_in(0)} {f.numel_in(1)} {system.n_q}\n"
-    for k in range(f.n_instructions()):
-        code = f.instruction_id(k)
-        takes, gives = f.instruction_input(k), f.instruction_output(k)
+    lines, speed = [(f, k) for k in range(f.n_instructions())], ca.SX.sym("speed")
+    if system.law.of_speed is not None:
+        law = ca.densify(ca.SX(system.law.of_speed(speed)))
+        of_speed = ca.Function("law", [ca.vertcat(*symbols.values()), speed], [law])
+        lines += [(of_speed, k) for k in range(of_speed.n_instructions())]
+    for one, k in lines:
+        code = one.instruction_id(k)
+        takes, gives = one.instruction_input(k), one.instruction_output(k)
         text += f"{names[code]} {','.join(map(str, takes))} {','.join(map(str, gives))}"
-        text += f" {float(f.instruction_constant(k)).hex()}\n" if names[code] == "CONST" else "\n"
+        text += f" {float(one.instruction_constant(k)).hex()}\n" if names[code] == "CONST" else "\n"
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -20,12 +20,13 @@ from typing import Any, NamedTuple, cast
 
 import casadi as ca
 
-from zeno_orbits.errors import SpeedLawError, TableProofError, TranslationError
+from zeno_orbits.errors import TableProofError, TranslationError
 from zeno_orbits.integrators import called_table
 from zeno_orbits.model import (
     CharacteristicScales,
     CompletedSystem,
     Problem,
+    impact_speed,
     system_of_stop,
     watched,
 )
@@ -170,7 +171,7 @@ def _moves(system: CompletedSystem, gaps: Sequence[ca.SX], reset: ca.SX) -> bool
 
 
 def _given(seen: _Seen, x: ca.SX, p: ca.SX) -> ca.Function:
-    """Return the formulas of a problem as a function of states and parameters, resets last."""
+    """Return the formulas of a problem by state, parameters and impact speed, resets last."""
     system = seen.system
     # The direction of an absent stop is 0 / 0. It has no impact.
     struck = ca.depends_on(ca.SX(system.gap), x)
@@ -178,7 +179,7 @@ def _given(seen: _Seen, x: ca.SX, p: ca.SX) -> ca.Function:
         system.free_flow,
         system.gap,
         system.impulse_direction if struck else ca.SX.zeros(x.numel()),
-        system.restitution,
+        system.law.at(impact_speed),
         system.holonomic,
         ca.vec(ca.densify(ca.SX(system.mechanism.mass_matrix))),
         ca.vertcat(*seen.gaps),
@@ -186,7 +187,8 @@ def _given(seen: _Seen, x: ca.SX, p: ca.SX) -> ca.Function:
         seen.armed,
         *seen.resets,
     ]
-    return ca.Function("given", [x, p], [ca.densify(ca.SX(one)) for one in given], {"cse": True})
+    outputs = [ca.densify(ca.SX(one)) for one in given]
+    return ca.Function("given", [x, p, impact_speed], outputs, {"cse": True})
 
 
 def proof_expressions(
@@ -205,21 +207,18 @@ def proof_expressions(
         view: The stop and the sides of a machine with several stops, switches or kinks.
 
     Raises:
-        TranslationError: If an operation is not analytic, or the restitution depends on the impact
-            speed.
+        TranslationError: If an operation is not analytic.
     """
     symbols = problem.symbols()
     seen = _seen(problem, symbols, view)
     system = seen.system
-    if system.law.of_speed is not None:
-        raise SpeedLawError
     x, p = system.state, ca.vertcat(*symbols.values())
     function = _given(seen, x, p)
     one = ca.SX.sym("one")
-    outputs, names, values = _without_constants(function, one * x, one * p)
+    outputs, names, values = _without_constants(function, one * x, one * p, one * impact_speed)
     over = [symbols[name] for name in carried]
     resets = [_bare(*pair, x) for pair in zip(outputs[9:], seen.resets, strict=True)]
-    formulas, coordinate = _Formulas._make([*outputs[:9], resets]), None
+    formulas, coordinate = _Formulas._make([*outputs[:9], resets]).at_impacts(x), None
     if len(seen.gaps) == 1 and not seen.moves:
         coordinate = _coordinate(system.n_q, x, one, formulas.gap, formulas.free, over)
     if coordinate is None:
@@ -262,6 +261,11 @@ class _Formulas(NamedTuple):
     guards: ca.SX
     armed: ca.SX
     resets: Sequence[ca.SX]
+
+    def at_impacts(self, x: ca.SX) -> _Formulas:
+        """Return formulas whose impact speed is minus the gap rate of the state."""
+        rate = ca.jtimes(self.gap, x, self.free)
+        return self._replace(restitution=ca.substitute(self.restitution, impact_speed, -rate))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -432,7 +436,17 @@ def _digest(seen: _Seen, numbers: ca.SX) -> str:
         given += [ca.vertcat(*seen.gaps), seen.guards, seen.armed, *seen.resets]
     outputs = [ca.densify(ca.SX(one)) for one in given]
     f = ca.Function("system", [system.state, numbers], outputs)
-    lines = [f"{system.state.numel()} {numbers.numel()} {system.n_q}"]
+    heading = f"{system.state.numel()} {numbers.numel()} {system.n_q}"
+    lines = [heading, *_instructions(f)]
+    if system.law.of_speed is not None:
+        law = [ca.densify(ca.SX(system.law.at(impact_speed)))]
+        lines += _instructions(ca.Function("coefficient", [numbers, impact_speed], law))
+    return hashlib.sha256("".join(line + "\n" for line in lines).encode()).hexdigest()
+
+
+def _instructions(f: ca.Function) -> list[str]:
+    """Return the instructions of a function as lines."""
+    lines = list[str]()
     for k in range(f.n_instructions()):
         code = f.instruction_id(k)
         takes, gives = f.instruction_input(k), f.instruction_output(k)
@@ -444,7 +458,7 @@ def _digest(seen: _Seen, numbers: ca.SX) -> str:
         if code == ca.OP_CONST:
             words.append(float(f.instruction_constant(k)).hex())
         lines.append(" ".join(words))
-    return hashlib.sha256("".join(f"{line}\n" for line in lines).encode()).hexdigest()
+    return lines
 
 
 def stop_identities(
@@ -517,10 +531,9 @@ def _coordinate(
 
 
 def _without_constants(
-    function: ca.Function, x: ca.SX, p: ca.SX
+    function: ca.Function, *inputs: ca.SX
 ) -> tuple[list[ca.SX], list[ca.SX], list[float]]:
     """Return the outputs with symbols in place of constants, the symbols, and their values."""
-    inputs = (x, p)
     outputs = [ca.SX.zeros(*function.size_out(k)) for k in range(function.n_out())]
     symbols: dict[float, ca.SX] = {}
     work: dict[int, ca.SX] = {}

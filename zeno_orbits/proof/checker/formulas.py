@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial, reduce
+from itertools import chain
 from typing import Any, NamedTuple, cast
 
 import casadi as ca
@@ -150,6 +151,8 @@ class Formulas(NamedTuple):
     Attributes:
         function: Flows, contact quantities, impulse direction, restitution and constraints.
         law: The impact law, a function of state, parameters, restitution and gap rate.
+        coefficient: The restitution as a function of parameters and impact speed, or None if it
+            does not depend on the speed.
         inertia: The mass matrix.
         digest: SHA-256 of the instructions of `function`.
         n_q: Number of coordinates.
@@ -157,6 +160,7 @@ class Formulas(NamedTuple):
 
     function: ca.Function
     law: ca.Function
+    coefficient: ca.Function | None
     inertia: ca.Function
     digest: str
     n_q: int
@@ -220,7 +224,8 @@ def _formulas(
 
     The digest belongs to CasADi's instructions. The impact law is evaluated for one impact: from
     the gap rate before it and the restitution, it gives the drop of the gap rate and the gap rate
-    after the impact. The restitution is a symbol, since CasADi would fold ``1 + 0.3`` in doubles.
+    after the impact. A restitution that does not depend on the speed is a symbol, since CasADi
+    would fold ``1 + 0.3`` in doubles.
     """
     is_wide = further and (further[1].numel() or further[0].numel() > 1)
     parts: tuple[Any, ...] = (
@@ -234,20 +239,24 @@ def _formulas(
     )
     inputs = [system.state, ca.vertcat(*symbols.values())]
     function = ca.Function("system", inputs, [ca.densify(ca.SX(part)) for part in parts])
+    speed, restitution, coefficient = ca.SX.sym("speed"), ca.SX.sym("restitution"), None
+    named = system.law._replace(restitution=restitution)
+    if system.law.of_speed is not None:
+        # The law itself is evaluated, at the speed that it is given.
+        named, own = system.law, [ca.densify(ca.SX(system.law.at(speed)))]
+        coefficient = ca.Function("coefficient", [inputs[1], speed], own)
     lines = [f"{function.numel_in(0)} {function.numel_in(1)} {system.n_q}"]
-    for name, takes, gives, number in _instructions(function):
+    every = [function] if coefficient is None else [function, coefficient]
+    for name, takes, gives, number in chain.from_iterable(map(_instructions, every)):
         words = [name, ",".join(map(str, takes)), ",".join(map(str, gives))]
         lines.append(" ".join(words if number is None else [*words, number.hex()]))
     text = "".join(line + "\n" for line in lines)
-    speed, restitution = ca.SX.sym("speed"), ca.SX.sym("restitution")
-    named = system.law._replace(restitution=restitution)
     law = [ca.densify(ca.SX(part)) for part in (named.rate_drop(speed), named.speed_after(speed))]
     struck = ca.Function("law", [*inputs, restitution, speed], law)
     mass = ca.vec(ca.densify(ca.SX(system.mechanism.mass_matrix)))
     inertia = ca.Function("inertia", inputs, [mass])
-    return Formulas(
-        function, struck, inertia, hashlib.sha256(text.encode()).hexdigest(), system.n_q
-    )
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return Formulas(function, struck, coefficient, inertia, digest, system.n_q)
 
 
 def joined_digest(digests: Iterable[str]) -> str:

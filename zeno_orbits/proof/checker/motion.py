@@ -364,6 +364,7 @@ def struck(system: System, box: Array, m: Array) -> Mapped:
         m: A state in the box.
     """
     row = system.rate_row
+    system.require_law(box)
     e, at_point = system.value("law", box)[0], system.value("law", m)[0]
     e_slope, rate_slope = system.gradient("law", box)[0], system.identity[row] * system.unit
     rate, along = system.gap_rate(box), system.value("direction", box)
@@ -432,6 +433,7 @@ def accumulated(system: System, box: Array, m: Array, record: Mapping[str, Any])
     wide = zip(inner, radius, strict=True)
     around = _replaced(box, {k: box[k] + around_zero(r) for k, r in wide})
     system.require_inertia(around)
+    system.require_law(around)
     require_sides(system, around)
     for k in system.gap_rows:
         require(k == system.gap_row or around[k].low > 0, "another gap may close in the tail")

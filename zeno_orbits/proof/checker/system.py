@@ -91,6 +91,18 @@ class System:
     stop: Ball
 
     @property
+    def has_speed_law(self) -> bool:
+        """True if the restitution depends on the gap rate before an impact."""
+        return not {*self.z[: self.n_x]}.isdisjoint(self.graph.needed(self.nodes["law"]))
+
+    def require_law(self, box: Array) -> None:
+        """Check that a restitution of the impact speed lies between 0 and 1 on a box of states."""
+        if self.has_speed_law:
+            e = self.value("law", box)[0]
+            inside = e.low > 0 and e.high < 1 << self.bits
+            require(inside, f"the restitution may not be between 0 and 1: {e.shown()}")
+
+    @property
     def bits(self) -> int:
         """The unit is ``2^-bits``."""
         return self.unit.bits
@@ -221,6 +233,7 @@ def bound_system(
         None if k in pinned else graph.total(f, graph.product(force, D[k]))
         for k, f in enumerate(free)
     ]
+    law = _law_at(formulas, graph, list(p.values()), law, graph.put("neg", rate))
     _require_newton(formulas, graph, x, list(p.values()))
     rates = [derivative(node, nothing) for node in rows]
     gap_rates = [derivative(node, nothing) for node in gaps]
@@ -370,15 +383,12 @@ class _Given(NamedTuple):
 def _given(
     formulas: Formulas, graph: Graph, x: Sequence[int], p: Sequence[int], stop: int
 ) -> _Given:
-    """Return the formulas as nodes. All are analytic, and the restitution is constant."""
-    free, _, contact, along, (law, *faster), rows, *further = walked(
-        formulas.function, graph, [x, p]
-    )
+    """Return the formulas as nodes. All are analytic, and the restitution has no state."""
+    free, _, contact, along, (law, *_), rows, *further = walked(formulas.function, graph, [x, p])
     gaps, guards, armed, *resets = further or ([contact[0]], [], [])
     if _is_constant(graph, x, gaps[stop]):
         # A constant gap never closes, so no impact has a direction.
         along = [graph.zero] * len(along)
-    require(not faster, "its restitution depends on the impact speed, and Lemma 10 has a constant")
     require_analytic(graph, [*free, *along, law, *rows])
     require_analytic(graph, [*gaps, *guards, *armed, *(node for one in resets for node in one)])
     require(gaps[stop] == contact[0], "the gap is not that of its stop")
@@ -443,10 +453,20 @@ def _require_positions(
     require(set(x[n_q:]).isdisjoint(of_gaps), "a gap depends on other states than coordinates")
 
 
+def _law_at(formulas: Formulas, graph: Graph, p: Sequence[int], slowest: int, speed: int) -> int:
+    """Return the restitution at an impact speed, or that of all impacts."""
+    if formulas.coefficient is None:
+        return slowest
+    ((law,),) = walked(formulas.coefficient, graph, [p, [speed]])
+    require_analytic(graph, [law])
+    return law
+
+
 def _require_newton(formulas: Formulas, graph: Graph, x: Sequence[int], p: Sequence[int]) -> None:
     """Check that an impact drops the gap rate ``s`` by ``(1 + e) s``, to ``-e s``, for every e."""
     e, s = graph.put("input"), graph.put("input")
     (drop,), (after,) = walked(formulas.law, graph, [x, p, [e], [s]])
+    e = _law_at(formulas, graph, p, e, graph.put("neg", s))
     require_analytic(graph, [drop, after])
     wanted = [graph.put("mul", graph.put("add", graph.one, e), s)]
     wanted.append(graph.put("neg", graph.put("mul", e, s)))

@@ -89,6 +89,7 @@ class BallSystem:
         gap: Index of the gap.
         rate: Index of the gap rate.
         plastic: True for a restitution of zero.
+        has_speed_law: True if the restitution depends on the gap rate before an impact.
         section: The event at which the period starts.
         view: The stop and the sides, None for a machine with one stop and no switch.
         gap_offset: Gap at the zero of its coordinate.
@@ -147,6 +148,7 @@ class BallSystem:
         self._law = self._program(e.restitution, ca.densify(ca.gradient(e.restitution, e.states)))
         centre = [ZERO] * (self.n - len(carried)) + list(self.carried.values())
         varies = ca.depends_on(e.restitution, e.states)
+        self.has_speed_law = ca.depends_on(e.restitution, e.states[: self.n - len(carried)])
         self.plastic = not varies and bool(self._law(centre)[0][0].is_zero())
         self.gap_offset = (self._program(offset)([ZERO] * self.n)[0] or [ZERO])[0]
         self.free = BallFlow(e.states, e.numbers, e.free, None, self.numbers)
@@ -185,9 +187,17 @@ class BallSystem:
         return list(range(self.n - len(self.carried)))
 
     def impact(self, y: Sequence[Ball]) -> ImpactValues:
-        """Return the impulse direction and the restitution at a state, and their derivatives."""
+        """Return the impulse direction and the restitution at a state, and their derivatives.
+
+        Raises:
+            ProofError: If the restitution depends on the impact speed and is outside (0, 1).
+        """
         direction, slopes = self._impact(y)
         (restitution,), gradient = self._law(y)
+        if self.has_speed_law:
+            inside = bool(restitution > 0) and bool(restitution < 1)
+            reason = f"the restitution is not proved to be between 0 and 1 ({restitution})"
+            require_proved(inside, "impact", reason)
         rows = [[ZERO] * self.n for _ in range(self.n)]
         places = zip(*self._slopes.sparsity().get_triplet(), strict=True)
         for (row, col), one in zip(places, slopes, strict=True):
@@ -295,7 +305,7 @@ class BallSystem:
             rows[k][self.rate] -= law * at.direction[k]
         rows[self.gap] = [ZERO] * n
         rows[self.rate] = [-y[self.rate] * slope for slope in at.restitution_slopes]
-        rows[self.rate][self.rate] = -at.restitution
+        rows[self.rate][self.rate] -= at.restitution
         return matrix(rows, n)
 
     def reset(self, y: Sequence[Ball]) -> list[Ball]:

@@ -529,7 +529,7 @@ def _polydisc(system: BallSystem, box: Sequence[Ball], share: float) -> Polydisc
     kept = kept and all(bool(value > 0) for value, _ in system.guards(real)[system.n_declared :])
     require_proved(kept, "zeno_point", "a switch is not proved to keep its side in the tail")
     lowest = system.impact(real).restitution
-    require_proved(bool(lowest >= 0), "zeno_point", "the restitution is not proved to be positive")
+    require_proved(bool(lowest > 0), "zeno_point", "the restitution is not proved to be positive")
     return Polydisc(radius=radius, speed=speed, c=c, rho=rho, longest=longest, delta=delta)
 
 
