@@ -364,6 +364,9 @@ WRONG: dict[str, tuple[tuple[Any, ...], dict[str, str], str]] = {
     "unknown end": (([0, 1], [1, 2]), {"outside": "clamp"}, "one of 'refuse', 'hold', 'extend'"),
     "no list": ((5, [1, 2]), {}, "`knots` must hold numbers"),
     "loose knots": (([0, X, 1], [1, 2, 3]), {}, "all knots move and stretch together"),
+    "slopes": (([0, 1], [1e308, -1e308]), {}, "slopes are beyond the range of a double"),
+    "spline": (([0, 1, 2, 3], [1e308, -1e308, 0, 1], "cubic"), {}, "slopes are beyond the range"),
+    "far knots": (([0, 1e200], [1, 2]), {}, r"`knots` of a table must be below 1e\+150"),
     "sizes": (([0, 1], [1e-300, 1e300]), {}, "must be of comparable sizes"),
 }
 
@@ -387,11 +390,25 @@ def test_a_table_of_two_arguments_refuses_what_does_not_fit() -> None:
     for given, words in (
         (([0, 1, 2], [1, 2, 3]), "`knots` must be a pair"),
         ((([0, 1], [0, 1]), [1, 2]), "must have 2 dimension"),
+        ((([0, 1], [1, 0]), [[1, 2], [1, 2]]), r"`knots\[1\]` of a table must increase"),
         ((([0, 1], [0, 1]), [[1, 2, 3], [1, 2, 3]]), "along argument 2"),
         ((([0, 1], [0, 1]), [[1, 2], [1, 2]], "monotone"), "'linear' or 'cubic'"),
     ):
         with pytest.raises(ValueError, match=words):
             zo.table((X, X), *given)
+
+
+def test_messages_of_tables_in_a_model_name_the_table_and_no_start() -> None:
+    knots = ([1.5, 2.5], [-9.0, 9.0])
+    outside = mass(lambda x, v: zo.table((x, v), knots, [[-1, -1], [-1, -1]], name="spring"))
+    with pytest.raises(SimulationError, match=r"[^f] argument 1 of the table `spring` is beyond"):
+        zo.simulate(outside, until=5.0)
+    made = ca.interpolant("lut", "linear", [[-9.0, 9.0]], [1.0, 2.0], {"inline": True})
+    with pytest.raises(InputError, match=r"`lut` takes no `casadi.SX`: .* without .* `inline`"):
+        zo.simulate(mass(lambda x, _: made(x)), until=5.0)
+    with pytest.raises(InputError) as error:
+        zo.simulate(mass(lambda x, _: x * zo.record([0, 1], [1, 2]).frequency), until=5.0)
+    assert "start" not in str(error.value)
 
 
 def test_a_kinked_table_is_no_gap_and_a_table_is_not_proved() -> None:

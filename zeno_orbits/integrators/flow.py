@@ -156,7 +156,7 @@ class FlowWithEvent(Protocol):
         """
         ...
 
-    def longest(self, y: Vector) -> float:
+    def longest(self, y: Vector, /) -> float:
         """Return the largest step from a state that cannot pass a pulse of a table unseen."""
         ...
 

@@ -199,8 +199,10 @@ def _account(node: Any, operands: Sequence[float]) -> str:
     lookup = _lookup_behind(node)
     if lookup is not None:
         first, last = lookup.table.knots[0], lookup.table.knots[-1]
+        name = lookup.table.name
+        told = name if name.startswith("argument ") else f"the argument of {name}"
         return (
-            f"the argument of {lookup.table.name} is beyond its knots from {first:g} to {last:g}. "
+            f"{told} is beyond its knots from {first:g} to {last:g}. "
             "Add knots, change a value or the start, or give the table `outside='hold'` or "
             "`outside='extend'`."
         )

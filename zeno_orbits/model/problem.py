@@ -695,11 +695,11 @@ class Problem(Declared):
         """
         from zeno_orbits.model.numeric.admission import require_start
 
+        system = self.system(values)
         try:
             x = self.state_vector(start, values)
         except InputError as error:
             raise InputError(f"{error} Pass a start (`start`).") from error
-        system = self.system(values)
         try:
             require_start(system, np.array(x), 0.0)
         except InputError as error:

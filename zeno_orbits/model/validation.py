@@ -8,6 +8,7 @@ them.
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any
@@ -52,6 +53,9 @@ _FORMULAS = (
     "law_numbers",
 )
 
+_CALLED = re.compile(r"Function::call for '(\w+)'.*eval_sx", re.DOTALL)
+"""CasADi's message about a function that takes no symbols of the kind that models have."""
+
 
 def built(
     model: Callable[[Mapping[str, ca.SX]], object], symbols: Mapping[str, ca.SX]
@@ -59,7 +63,8 @@ def built(
     """Return the completed system that a model builds from its symbols.
 
     Raises:
-        InputError: If the model uses an undeclared name, or returns another type.
+        InputError: If the model uses an undeclared name or a function of other symbols, or returns
+            another type.
     """
     _require_one_argument(model)
     try:
@@ -75,6 +80,14 @@ def built(
                 f"Argument `model` must use declared gains and parameters, {asked}"
             ) from error
         raise
+    except RuntimeError as error:
+        called = _CALLED.search(str(error))
+        if called is None:
+            raise
+        raise InputError(
+            f"Argument `model`: the function `{called[1]}` takes no `casadi.SX`: make an "
+            "interpolant without the option `inline`, or use `zo.table`."
+        ) from error
     if not isinstance(system, CompletedSystem):
         kind = "nothing" if system is None else f"a `{type(system).__name__}`"
         made = f"but it returns {kind}. Write `return zo.hybrid_system(...)`"

@@ -26,7 +26,7 @@ from zeno_orbits.errors import InputError, shown
 from zeno_orbits.integrators import TABLE_HEAD, CellTable
 from zeno_orbits.model.clock import Clock, Time
 from zeno_orbits.model.expressions.spans import reach, reach_of_cells
-from zeno_orbits.model.expressions.tables import horner, numbers_in, table
+from zeno_orbits.model.expressions.tables import finite, held_in_doubles, horner, numbers_in, table
 from zeno_orbits.work import ByValue, checked
 
 _TURN = 2 * math.pi
@@ -209,14 +209,16 @@ def _repeated(given: Record, clock: Clock) -> ca.SX:
 
     is_kinked = given.kind != "cubic"
     if given.kind == "cubic":
-        made = CubicSpline(phases, given.samples, bc_type="periodic")
+        made = held_in_doubles(CubicSpline, phases, given.samples, bc_type="periodic")
     elif given.kind == "monotone":
         # The slope at a sample depends on its neighbours alone, also across the end of a turn.
         around = np.concatenate([[phases[-2] - _TURN], phases, [phases[1] + _TURN]])
-        made = PchipInterpolator(around, given.samples[[-2, *range(len(phases)), 1]])
+        samples = given.samples[[-2, *range(len(phases)), 1]]
+        made = held_in_doubles(PchipInterpolator, around, samples)
     else:
-        slopes = np.diff(given.samples) / np.diff(phases)
-        made = PPoly(np.stack([slopes, given.samples[:-1]]), phases)
+        with np.errstate(all="ignore"):
+            slopes = np.diff(given.samples) / np.diff(phases)
+        made = PPoly(finite(np.stack([slopes, given.samples[:-1]])), phases)
     offset = float(np.mod(given.time[0] / period, 1.0)) * _TURN
     knots = _knots(phases, offset, is_kinked=is_kinked)
     middles, halves = (knots[1:] + knots[:-1]) / 2, np.diff(knots) / 2

@@ -30,6 +30,8 @@ _LEAST = {"linear": 2, "cubic": 4, "monotone": 2}
 """Number of knots that a kind needs."""
 _MOST_PARAMETERS = 64
 """Number of values up to which they may be formulas of parameters."""
+_FAR = 1e150
+"""Size of a knot that is too large for its square."""
 _SAME, _COMPARED = 1e-12, 50
 """Relative rounding of shapes of knots that are the same, and the number of points along an
 argument at which a table of CasADi is compared."""
@@ -83,7 +85,8 @@ def table(
     axes = cast("Any", knots if pair and isinstance(knots, Sequence) else [] if pair else [knots])
     if pair and len(axes) != 2:
         raise ValueError("Argument `knots` must be a pair for a table of two arguments.")
-    placed = [_numeric_axis(at, axis, kind) for at, axis in zip(arguments, axes, strict=True)]
+    named = [f"knots[{k}]" for k in range(2)] if pair else ["knots"]
+    placed = [_numeric_axis(*one, kind) for one in zip(arguments, axes, named, strict=True)]
     if pair:
         return _surface(placed, numbers_in(values, "values", 2), kind, outside, name)
     (argument,) = placed
@@ -154,8 +157,8 @@ def numbers_in(given: Any, what: str, dimension: int) -> Vector:
     return numbers
 
 
-def _numeric_axis(x: ca.SX, knots: Any, kind: str) -> _Axis:
-    """Return an argument, scaled so that its knots are numbers.
+def _numeric_axis(x: ca.SX, knots: Any, what: str, kind: str) -> _Axis:
+    """Return an argument, scaled so that its knots are numbers, which messages name.
 
     Raises:
         ValueError: If the knots do not increase, are too few, or do not move together.
@@ -164,21 +167,25 @@ def _numeric_axis(x: ca.SX, knots: Any, kind: str) -> _Axis:
     if formulas is not None:
         first, last = formulas[0], formulas[-1]
         shape = _shape_of(formulas)
-        return _increasing(_Axis((x - first) / (last - first), shape), kind)
-    return _increasing(_Axis(x, numbers_in(knots, "knots", 1)), kind)
+        return _increasing(_Axis((x - first) / (last - first), shape), what, kind)
+    return _increasing(_Axis(x, numbers_in(knots, what, 1)), what, kind)
 
 
-def _increasing(axis: _Axis, kind: str) -> _Axis:
+def _increasing(axis: _Axis, what: str, kind: str) -> _Axis:
     knots, least = axis.knots, _LEAST[kind]
+    if knots.size and not np.max(np.abs(knots)) < _FAR:
+        raise ValueError(
+            f"Argument `{what}` of a table must be below {_FAR:g}: choose other units."
+        )
     if len(knots) < least:
         raise ValueError(
-            f"Argument `knots` of a {kind} table must hold at least {least} numbers, but it holds "
+            f"Argument `{what}` of a {kind} table must hold at least {least} numbers, but it holds "
             f"{len(knots)}."
         )
     for k in np.flatnonzero(np.diff(knots) <= 0.0)[:1].tolist():
         problem = "equals" if knots[k + 1] == knots[k] else "is below"
         raise ValueError(
-            f"Argument `knots` of a table must increase, but entry {k + 1} ({knots[k + 1]:g}) "
+            f"Argument `{what}` of a table must increase, but entry {k + 1} ({knots[k + 1]:g}) "
             f"{problem} entry {k} ({knots[k]:g})."
         )
     return axis
@@ -216,11 +223,53 @@ def _cells(knots: Vector, values: Vector, kind: str) -> Vector:
     """
     if kind == "linear":
         width = np.diff(knots).reshape(-1, *[1] * (values.ndim - 1))
-        return np.stack([values[:-1], np.diff(values, axis=0) / width])
+        with np.errstate(all="ignore"):
+            return finite(np.stack([values[:-1], np.diff(values, axis=0) / width]))
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
-    made = CubicSpline(knots, values) if kind == "cubic" else PchipInterpolator(knots, values)
+    made = held_in_doubles(CubicSpline if kind == "cubic" else PchipInterpolator, knots, values)
     return np.array(made.c[::-1], dtype=np.float64)
+
+
+def held_in_doubles(made: Any, knots: Vector, values: Vector, **options: Any) -> Any:
+    """Return a spline of SciPy whose coefficients are finite.
+
+    Args:
+        made: Class of the spline.
+        knots: Its knots, ``(n,)``.
+        values: Its values, ``(n, ...)``.
+        options: Further arguments.
+
+    Raises:
+        ValueError: If a coefficient is beyond the range of a double.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            found = made(knots, values, **options)
+    except ValueError:
+        raise ValueError(_TOO_LARGE) from None
+    finite(found.c)
+    return found
+
+
+_TOO_LARGE = (
+    "Arguments `knots` and `values` of a table, or `time` and `samples` of a record, must be of "
+    "moderate sizes, but its slopes are beyond the range of a double: choose other units."
+)
+
+
+def finite(coefficients: Vector) -> Vector:
+    """Return coefficients of a table.
+
+    Args:
+        coefficients: The coefficients, of any shape.
+
+    Raises:
+        ValueError: If one is beyond the range of a double.
+    """
+    if not np.all(np.isfinite(coefficients)):
+        raise ValueError(_TOO_LARGE)
+    return coefficients
 
 
 def _borders(knots: Vector, coefficients: Vector, *, is_kinked: bool) -> Vector:
