@@ -136,12 +136,17 @@ def test_samples_are_no_chatter_and_switches_have_a_limit_of_their_own() -> None
 
 
 @needs_compiler
-def test_loop_and_reference_agree_in_every_bit_under_a_record() -> None:
+@pytest.mark.parametrize("kind", ["linear", "monotone", "cubic"])
+@pytest.mark.parametrize("period", [2.0, None])
+def test_loop_and_reference_agree_in_every_bit_under_a_record(
+    kind: str, period: float | None
+) -> None:
     inputs = np.random.default_rng(2).normal(size=20)
-    problem = oscillator(zo.record(np.arange(20) * 0.1, inputs, period=2.0))
+    record = zo.record(np.linspace(0.0, 1.9, 20), inputs, period=period, kind=kind)
+    problem = oscillator(record)
     task = SimulationTask(
         dynamics=problem.graph_dynamics(problem.values()),
-        state=np.array([0.0, 0.0, 1.0, 0.0]),
+        state=np.array(problem.state_vector(problem.starts[0])),
         until=3.0,
         settings=SimulationSettings(engine=RungeKutta()),
     )
