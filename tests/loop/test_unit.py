@@ -322,6 +322,18 @@ def test_a_law_of_the_impact_speed_obeys_its_parameters(export: Export) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["measured_valve", "shaken_block"])
+def test_a_unit_follows_a_table_and_a_record(export: Export, name: str) -> None:
+    run = _execution(name, 2.0)
+    unit = Unit(export(name, "--until", "2"))
+    assert unit.initialize(2.0) == OK
+    times = np.linspace(0.0, 2.0, 81).tolist()
+    found = np.array(_followed(unit, times, run.state_names))
+    expected = np.array([run.state_at(time) for time in times])
+    assert np.max(np.abs(found - expected) / (1.0 + np.abs(expected))) <= 1e-11
+
+
+@pytest.mark.slow
 def test_hundreds_of_impacts_before_a_zeno_point_are_counted(export: Export) -> None:
     unit = Unit(export("bouncing_ball"))
     assert unit.set("restitution", 0.99) == OK
