@@ -152,6 +152,43 @@ def test_a_machine_with_nested_kinks_gives_the_same_digits() -> None:
     assert numbers[:3] == pytest.approx([2 * math.pi, *y[:2]], rel=1e-9)
 
 
+TABLED = """
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import zeno_orbits as zo
+from tests.support.mechanisms import machine_of
+
+KIND = "{kind}"
+SAMPLES = np.zeros(500)
+SAMPLES[150:153] = 3.0, 9.0, 2.0
+RECORD = zo.record(np.linspace(0.0, 4.99, 500), SAMPLES, period=5.0, kind=KIND)
+KNOTS = np.linspace(-1.0, 9.0, 41)
+
+def model(_):
+    x, v = ca.SX.sym("x"), ca.SX.sym("v")
+    clock = zo.Clock.at(ca.SX(RECORD.frequency))
+    mass = zo.HybridLagrangian.from_energies(
+        q=x, v=v, kinetic=v**2 / 2, potential=2 * x, gap=x, clock=clock,
+        passive_force=zo.table(x, KNOTS, -np.sin(KNOTS), KIND), applied_force=RECORD.at(clock),
+    )
+    return zo.hybrid_system(mass, zo.no_drive(mass), 0.6)
+
+UNITS = {{"x": "m", "v": "m/s", "cosine": "1", "sine": "1"}}
+PROBLEM = replace(machine_of(model, UNITS), starts=({{"x": 1.0, "cosine": 1.0}},))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["linear", "monotone", "cubic"])
+def test_tables_and_records_with_a_pulse_give_the_same_digits(kind: str) -> None:
+    Path("tabled.py").write_text(TABLED.format(kind=kind), encoding="utf-8")
+    found = _events_of("tabled.py", "--until", "4")
+    assert any(name.startswith("impact") for name, _ in found)
+    assert found == _expected("tabled.py", 4.0)
+
+
 @pytest.mark.slow
 def test_a_short_pulse_is_not_lost_in_exported_code() -> None:
     width = 1e-7
