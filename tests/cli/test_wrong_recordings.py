@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -162,6 +163,26 @@ def test_a_wrong_recording_is_one_line_with_its_place_and_remedy(command: str, c
     Path("d.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
     words = ("--fit", "R") if command == "identify" else ()
     assert_refused(ask(command, "orbit.json", "d.csv", *words), "d.csv", place, remedy)
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        (lambda _: "nan", "no signal of it has a number"),
+        (lambda _: "1e300", "must have values of `height` up to 1e+100, but it has 1e+300"),
+        (lambda k: "nan" if k > 100 else f"{1 + 0.1 * math.sin(k)}", "No parameters were found"),
+    ],
+)
+def test_a_recording_of_a_problem_is_refused_in_one_line(
+    value: Callable[[int], str], told: str
+) -> None:
+    rows = [f"{0.01 * k},{value(k)}" for k in range(200)]
+    Path("d.csv").write_text("\n".join(["time [s],height [m]", *rows]))
+    answer = ask("identify", "bouncing_ball", "d.csv", "--fit", "restitution")
+    assert answer.code in (1, 2)
+    assert answer.err.count("\n") == 1
+    assert "RuntimeWarning" not in answer.err
+    assert told in answer.err
 
 
 def test_the_table_holds_thirty_recordings() -> None:

@@ -81,6 +81,7 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
         ('"m", 1.0', '"m", -1.0', 19, "must be greater than 0"),
         ("= -v", "= -1 if q > 0 else 1", 8, "Write `ca.if_else(q > 0, a, b)`"),
         ("= -v", "= -max(v, 0)", 8, "`ca.fmax` for `max`"),
+        ("= -v", "= -v()", 8, "a formula or number is called (`'SX' object is not callable`)"),
         ("= -v", "= -v * (q > 0 and v)", 8, "`ca.logic_and` for `and`"),
         ("= -v", "= -c * v", 8, "the name `c` is not defined. Define or import it, or write"),
         ("= -v", "= -p.c * v", 8, 'a mapping lacks the attribute `c`. Write `p["c"]`'),

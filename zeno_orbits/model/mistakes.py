@@ -180,6 +180,9 @@ def _about_python(error: BaseException, text: str) -> str:
         word = owner[1] if owner[2] == "__init__" else owner[2]
         first = next(iter(_arguments_of(word or "")), "name")
         return f"`{word}` takes named arguments alone. Write `{word}({first}=..., ...)`"
+    if re.match(r"'(SX|MX|float|int)' object is not callable", text):
+        remedy = "Write `*` before its parenthesis, or leave out `()`"
+        return f"a formula or number is called (`{text}`). {remedy}"
     if "unsupported operand" in text:
         return f"{text}. Write numbers and `ca.SX` symbols on both sides"
     return f"{type(error).__name__}: {text}"

@@ -326,13 +326,30 @@ def shared_signals(
         kinds = "signal or a contact channel" if channels else "signal"
         wanted = f"must have a {kinds} of the problem ({listed})"
         raise InputError(f"Argument `recording` {wanted}, but it has {has}.")
-    if names and not any(np.any(np.isfinite(recording.signal(name).values)) for name in names):
-        raise InputError("Argument `recording` lacks values: no signal of it has a number.")
     for name in names:
         signal = recording.signal(name)
         if powers_of(signal.unit) != powers_of(known[name]):
             wanted = f"must have `{name}` in a unit like {known[name]}"
             raise InputError(f"Argument `recording` {wanted}, but it has {signal.unit}.")
+    require_values(recording, names)
+    return names
+
+
+def require_values(recording: Recording, names: Sequence[str]) -> None:
+    """Refuse signals without a value, and values whose squares are not finite.
+
+    Args:
+        recording: The recording.
+        names: Names of its signals that count.
+
+    Raises:
+        InputError: If a signal lacks values, or a value is above 1e100.
+    """
+    if names and not any(np.any(np.isfinite(recording.signal(name).values)) for name in names):
+        wanted = "lacks values: no signal of it has a number. Check its columns"
+        raise InputError(f"Argument `recording` {wanted}.")
+    for name in names:
+        signal = recording.signal(name)
         values = signal.values[np.isfinite(signal.values)]
         if not len(values):
             raise InputError(f"Argument `recording` lacks values of `{name}`: delete its column.")
@@ -342,4 +359,3 @@ def shared_signals(
             place = int(np.nanargmax(np.abs(signal.values)))
             at = f"at t = {recording.time[place]:.7g} s: correct or empty the cell"
             raise InputError(f"Argument `recording` {wanted}, but it has {largest:g} {at}.")
-    return names

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.comparison.overlay import require_values
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.experiment.transients.event_record import has_event_times
@@ -24,16 +25,20 @@ def transient_reason(recordings: Sequence[Recording], signals: Collection[str]) 
     Args:
         recordings: The recordings.
         signals: Names of the signals of the problem.
+
+    Raises:
+        InputError: If a signal lacks values, or a value is above 1e100.
     """
     if len(recordings) > 1:
         return "several trials were given"
     (recording,) = recordings
     if has_event_times(recording):
         return "the recording holds times of events"
-    rows = [one.values for one in recording.signals if one.name in signals]
-    if not rows:
+    named = [one for one in recording.signals if one.name in signals]
+    if not named:
         return ""
-    values: Vector = np.array(rows)
+    require_values(recording, [one.name for one in named])
+    values: Vector = np.array([one.values for one in named])
     found = periodicity(recording.time, values)
     if found is not None and found.n_cycles >= _CYCLES and found.repeats >= _REPEATS:
         return ""
@@ -52,5 +57,8 @@ def _decays(values: Vector) -> bool:
     part = values.shape[1] // 3
     if part < _FEWEST:
         return False
-    first, last = (np.nanstd(rows, axis=1) for rows in (values[:, :part], values[:, -part:]))
+    thirds = values[:, :part], values[:, -part:]
+    if not all(np.all(np.isfinite(rows).any(axis=1)) for rows in thirds):
+        return False
+    first, last = (np.nanstd(rows, axis=1) for rows in thirds)
     return bool(np.all(last < _SMALLER * first))
