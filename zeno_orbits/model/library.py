@@ -469,10 +469,17 @@ def _located(name: str, fidelity: str | None) -> ProblemFile:
 
 
 def _digest(word: str) -> str:
-    """Return a digest of the Python files that a problem may be made of."""
+    """Return a digest of the Python files that a problem may be made of.
+
+    Raises:
+        OSError: If the word names no Python file. Pipes, devices and files of data are not read.
+    """
     name, _ = split_fidelity(word)
     path = bundled_problems().get(name, Path(name))
-    files = sorted(path.glob("*.py")) if path.is_dir() else [path]
+    files = [path] if path.suffix == ".py" else sorted(path.glob("*.py"))
+    files = [file for file in files if file.is_file()]
+    if not files:
+        raise FileNotFoundError(f"no Python file: {path}")
     digest = hashlib.sha256()
     for file in files:
         digest.update(f"{file.name}\n".encode() + file.read_bytes())
