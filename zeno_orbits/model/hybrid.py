@@ -288,7 +288,8 @@ def _of_any_speed(change: ca.SX) -> ca.SX:
     """
     if not ca.depends_on(change, impact_speed):
         return change
-    slow, fast = (ca.substitute(change, impact_speed, speed) for speed in (0.1, 0.3))
+    speeds = (0.1 * ca.SX.sym("slow"), 0.3 * ca.SX.sym("fast"))
+    slow, fast = (ca.substitute(change, impact_speed, speed) for speed in speeds)
     for row in values_near_one(ca.veccat(fast - slow, slow)):
         off, size = np.max(np.abs(row.reshape(2, -1)), axis=1)
         if not off <= max(_OF_STATES, _ROUNDING * float(size)):

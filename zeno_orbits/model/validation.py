@@ -18,6 +18,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, did_you_mean, shortened
+from zeno_orbits.model.contact import SLOWEST, at_impact_speed, impact_speed
 from zeno_orbits.model.domains import named_formulas, require_finite, require_rising_gap
 from zeno_orbits.model.expressions.operations import symbols_in
 from zeno_orbits.model.expressions.units import ELECTRICAL, is_electrical_unit, is_rate_of
@@ -174,12 +175,16 @@ def _forgotten(system: CompletedSystem, state_names: Sequence[str]) -> str:
 
 
 def require_known_symbols(system: CompletedSystem, symbols: Mapping[str, ca.SX]) -> None:
-    """Refuse a symbol in the formulas that is neither a state nor declared."""
+    """Refuse a symbol in the formulas that is neither a state nor declared.
+
+    The state after an impact may also hold its speed.
+    """
     known = ca.vertcat(system.state, *symbols.values())
     known_ones = {known[k].element_hash() for k in range(known.numel())}
     for name, entry in system.drive.entries:
         for symbol in symbols_in(entry):
-            if symbol.element_hash() not in known_ones:
+            is_speed = name == "after_impact" and ca.is_equal(symbol, impact_speed)
+            if symbol.element_hash() not in known_ones and not is_speed:
                 raise ValueError(
                     f"Argument `{name}` must use states, gains and parameters only, "
                     f"but it holds another symbol, `{symbol.name()}`."
@@ -242,7 +247,9 @@ def require_sound_numbers(
     mass_matrix = ca.hessian(system.energy, system.state[system.n_q : 2 * system.n_q])[0]
     look = _function(system, symbols, [ca.densify(mass_matrix), system.gap])
     formulas = {name: _function(system, symbols, [getattr(system, name)]) for name in _FORMULAS}
-    declared = [ca.vec(ca.densify(one.formula)) for one in named_formulas(system)]
+    # A state after an impact may hold its speed.
+    slow = (at_impact_speed(one.formula, SLOWEST) for one in named_formulas(system))
+    declared = [ca.vec(ca.densify(one)) for one in slow]
     formulas[_DECLARED] = _function(system, symbols, [ca.vertcat(*declared)])
     fields = _function(system, symbols, [ca.densify(system.drive.inertia)])
     lossy = {
