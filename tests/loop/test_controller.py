@@ -185,7 +185,15 @@ def test_the_command_writes_the_controller_of_held_states_alone(tmp_path: Path) 
         (("sampled_pendulum", "--controller", "--period", "0.1"), "--period: needs `--window`"),
         (
             ("sampled_pendulum", "--controller", "--window", "-1", "--period", "0.1"),
-            "--window: must be positive",
+            "--window: must be a positive number",
+        ),
+        (
+            ("sampled_pendulum", "--controller", "--window", "0.1", "--period", "0"),
+            "--period: must be a positive number",
+        ),
+        (
+            ("sampled_pendulum", "--controller", "--window", "1e9", "--period", "1e-6"),
+            "--window: holds 1e+15 readings",
         ),
         (
             ("sampled_pendulum", "--controller", "--window", "0.01", "--period", "0.004"),

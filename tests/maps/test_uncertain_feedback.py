@@ -244,6 +244,7 @@ def test_the_command_has_the_corners(tmp_path: Path, monkeypatch: pytest.MonkeyP
     for more, told in (
         (("--uncertain", "B=1:2"), "--uncertain B=1:2: unknown name `B`"),
         (("--method", "robust"), "--method robust: must have --uncertain NAME=LOW:HIGH"),
+        (("--method", "place"), "--method place: must have --multipliers"),
         (("--uncertain", "A=1"), "must be NAME=LOW:HIGH"),
     ):
         refused = ask(*words, *more)

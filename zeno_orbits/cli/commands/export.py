@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from zeno_orbits.loop import ExportedController, ExportedRun, GraphProgram
     from zeno_orbits.model import ParameterValues, Problem
 
+_MOST_READINGS = 10_000
+"""Largest number of readings in the window of a controller."""
+
 
 def add_export(commands: Any) -> None:
     """Add the command `export`."""
@@ -108,9 +111,7 @@ def _run_export(options: argparse.Namespace) -> int:
         raise InputError("Argument `--persists` belongs to `--controller`, which is missing.")
     if options.window is not None and not options.controller:
         raise InputError("Argument `--window` belongs to `--controller`, which is missing.")
-    if (options.window is None) != (options.period is None):
-        given, other = ("window", "period") if options.period is None else ("period", "window")
-        raise InputError(f"Argument `--{given}` needs `--{other}`, which is missing.")
+    _require_readings(options.window, options.period)
     problem = load_problem(options.problem)
     values = values_of(problem, options)
     if options.controller:
@@ -126,6 +127,23 @@ def _run_export(options: argparse.Namespace) -> int:
         files = {name: text.encode() for name, text in exported_files(program, run).items()}
     _hand_out(options, files, warning)
     return YES
+
+
+def _require_readings(window: float | None, period: float | None) -> None:
+    """Refuse a window without a period or a period without a window, and a window too large."""
+    if (window is None) != (period is None):
+        given, other = ("window", "period") if period is None else ("period", "window")
+        raise InputError(f"Argument `--{given}` needs `--{other}`, which is missing.")
+    if window is None or period is None:
+        return
+    for name, value in (("window", window), ("period", period)):
+        if not 0.0 < value < math.inf:
+            message = f"must be a positive number of seconds, but it is {value:g}"
+            raise InputError(f"Argument `--{name}` {message}.")
+    if window / period > _MOST_READINGS:
+        message = f"holds {window / period:.3g} readings that are `--period` {period:g} s apart"
+        most = f"and a controller stores at most {_MOST_READINGS}: give a shorter window"
+        raise InputError(f"Argument `--window` {message}, {most}.")
 
 
 def _hand_out(options: argparse.Namespace, files: Mapping[str, bytes], warning: str) -> None:
@@ -157,20 +175,15 @@ def _write_controller(
     if not 0.0 < persists < math.inf:
         raise InputError(f"Argument `--persists` must be positive, but it is {persists:g}.")
     state = np.array(start_of(problem, options))
-    window = options.window
-    if window is not None and not (window > 0.0 and options.period > 0.0):
-        raise InputError("Argument `--window` must be positive, and so must `--period`.")
-    controller, warning = (
-        controller_of(
-            problem,
-            values,
-            state,
-            persists=persists,
-            window=window or 0.0,
-            period=options.period or 0.0,
-        ),
-        "",
+    controller = controller_of(
+        problem,
+        values,
+        state,
+        persists=persists,
+        window=options.window or 0.0,
+        period=options.period or 0.0,
     )
+    warning = ""
     if options.fmu:
         files, warning = _controller_unit(problem, controller, state)
     else:

@@ -125,6 +125,8 @@ def _run_feedback(options: argparse.Namespace) -> int:
     require_outputs(options, outputs, reads=[options.orbit])
     if options.method == "robust" and not options.uncertain:
         raise InputError("Argument `--method robust` must have --uncertain NAME=LOW:HIGH.")
+    if options.method == "place" and not options.multipliers:
+        raise InputError("Argument `--method place` must have --multipliers MU,MU of the loop.")
     with report.ProgressLine(options.interrupts.check) as progress:
         found = api.design_feedback(
             options.orbit,
