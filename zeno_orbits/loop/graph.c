@@ -280,10 +280,12 @@ static double rounding_of_states(Graph *g, int stop, const double *x) {
     return sum;
 }
 
-/* The rounding of a gap: of its states, and what an event left at the stop. */
+/* The rounding of a gap: of its states, what an event left at the stop, and the height of a flight
+   that lasts for the rounding of its time. */
 static double rounding_of_gap(Graph *g, int stop, const double *x) {
     const double left = LEFT_GAP * fabs(g->m.run->graph.met_gaps[stop]);
-    return greater(rounding_of_states(g, stop, x), left);
+    const double least = ROUNDING * ROUNDING * settings_of(g, stop)->gap;
+    return greater(greater(rounding_of_states(g, stop, x), left), least);
 }
 
 /* Whether a flight at a state has left its gap of zero. At its top the gap alone shows it. */

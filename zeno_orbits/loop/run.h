@@ -26,7 +26,8 @@ typedef struct {
 } Watched;
 
 /* A flight that is lower than the rounding of the gap: its duration, 0 if there is none, and the
-   scaled gap rate at its start with its error, and the scaled gap there. It comes first, or where another arc failed. */
+   scaled gap rate at its start with its error, and the scaled gap there. It comes first, or where
+   another arc failed. */
 typedef struct {
     double duration, launch, error, height;
     int comes_first;

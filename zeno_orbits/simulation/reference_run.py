@@ -1650,8 +1650,12 @@ class ReferenceRun(StopRun):
         return last is not None and last.time == time
 
     def _rounding(self, stop: int, x: Vector) -> float:
-        """Return the rounding of a gap: of its states, and what an event left at the stop."""
-        return max(self._rounding_of_states(stop, x), _LEFT * abs(self._left_gap(stop)))
+        """Return the rounding of a gap: of its states, and what an event left at the stop.
+
+        It is at least the height of a flight that lasts for the rounding of its time.
+        """
+        least = ROUNDING**2 * self._view((), stop).own.gap
+        return max(self._rounding_of_states(stop, x), _LEFT * abs(self._left_gap(stop)), least)
 
     def _left_gap(self, stop: int) -> float:
         """Return the gap that the last impact or release left at a stop, zero without one."""
