@@ -14,7 +14,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.loop.controller import ExportedController, controller_files
 from zeno_orbits.loop.export import c_array, c_number, stem_of
 from zeno_orbits.loop.source import whole_source
-from zeno_orbits.loop.unit import TOKEN_LINE, Variable, described, packed
+from zeno_orbits.loop.unit import TOKEN_LINE, Variable, described, free_name, packed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +79,9 @@ def _variables(unit: ControllerUnit) -> Iterator[Variable]:
             unit, name, next(counter), f"reading of {name}", {**kind, "start": repr(value)}
         )
     for stop in known.stop_names:
-        name = _free(f"contact_{stem_of(stop)}" if len(known.stop_names) > 1 else "contact", taken)
+        name = free_name(
+            f"contact_{stem_of(stop)}" if len(known.stop_names) > 1 else "contact", taken
+        )
         words = {"name": name, "valueReference": str(next(counter))}
         words |= {"description": f"true in contact with {stop}"}
         yield Variable(
@@ -91,7 +93,7 @@ def _variables(unit: ControllerUnit) -> Iterator[Variable]:
         yield _float(unit, name, next(counter), "held from event to event", discrete)
     n_voltages = known.voltage.numel_out(0)
     for k in range(n_voltages):
-        name = _free(f"voltage_{k + 1}" if n_voltages > 1 else "voltage", taken)
+        name = free_name(f"voltage_{k + 1}" if n_voltages > 1 else "voltage", taken)
         words = {"name": name, "valueReference": str(next(counter))}
         words |= {"description": "voltage of a motor, held until the next step"}
         yield Variable("Float64", {**words, **discrete, "unit": "V"})
@@ -103,11 +105,3 @@ def _float(
     found = {"name": name, "valueReference": str(reference), "description": meaning, **kind}
     measured = unit.units.get(name, "1")
     return Variable("Float64", found if measured == "1" else {**found, "unit": measured})
-
-
-def _free(name: str, taken: set[str]) -> str:
-    """Return a name that no other variable has, and take it."""
-    while name in taken:
-        name += "_"
-    taken.add(name)
-    return name

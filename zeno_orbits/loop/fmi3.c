@@ -3,48 +3,18 @@
 
        cc -std=c99 -O2 -ffp-contract=off -fPIC -shared fmi3.c -lm -o PROBLEM.so
 
-   These are the functions that its description offers; `fmi3_refused.c` has all others. */
+   These functions and those of `fmi3_calls.c` are what its description offers; `fmi3_refused.c` has all
+   others. */
 
-#include <stdbool.h>
-#include <stddef.h>
 #include <stdio.h>
-#include <stdlib.h>
 
 #include "PROBLEM.c"
+#include "fmi3_head.c"
 #include "fmi3_unit.c"
 
-#ifdef _WIN32
-#define API __declspec(dllexport)
-#elif defined(__GNUC__)
-#define API __attribute__((visibility("default")))
-#else
-#define API
-#endif
+#define AT(unit) ((unit)->reached)
 
-API const char *fmi3GetVersion(void);
-API void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources,
-                                      bool visible, bool logging, bool events, bool early,
-                                      const uint32_t intermediate[], size_t n, void *environment,
-                                      Log log, void (*update)(void));
-API void fmi3FreeInstance(void *instance);
-API int fmi3EnterInitializationMode(void *instance, bool has_tolerance, double tolerance,
-                                    double start, bool has_stop, double stop);
-API int fmi3ExitInitializationMode(void *instance);
-API int fmi3EnterStepMode(void *instance);
-API int fmi3Terminate(void *instance);
-API int fmi3Reset(void *instance);
-API int fmi3SetDebugLogging(void *instance, bool on, size_t n, const char *const categories[]);
-API int fmi3DoStep(void *instance, double time, double size, bool no_return, bool *event,
-                   bool *ends, bool *early, double *reached);
-API int fmi3GetFloat64(void *instance, const uint32_t refs[], size_t n, double values[], size_t m);
-API int fmi3SetFloat64(void *instance, const uint32_t refs[], size_t n, const double values[],
-                       size_t m);
 API int fmi3GetInt32(void *instance, const uint32_t refs[], size_t n, int32_t values[], size_t m);
-API int fmi3GetFMUState(void *instance, void **kept);
-API int fmi3SetFMUState(void *instance, void *kept);
-API int fmi3FreeFMUState(void *instance, void **kept);
-
-const char *fmi3GetVersion(void) { return "3.0"; }
 
 /* Everything as it is after instantiation. */
 static void set_up(Unit *unit) {
@@ -91,37 +61,14 @@ void fmi3FreeInstance(void *instance) {
     free(unit);
 }
 
-void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources,
-                                  bool visible, bool logging, bool events, bool early,
-                                  const uint32_t intermediate[], size_t n, void *environment,
-                                  Log log, void (*update)(void)) {
-    Unit *unit;
-    (void)name, (void)resources, (void)visible, (void)logging, (void)early;
-    (void)intermediate, (void)update;
-    if (!token || strcmp(token, INSTANTIATION_TOKEN) != 0 || events || n > 0) {
-        if (log) log(environment, ERROR, "logStatusError", "The unit does not fit its description");
-        return 0;
-    }
-    unit = new_unit();
-    if (!unit) return 0;
-    unit->log = log;
-    unit->environment = environment;
-    set_up(unit);
-    return unit;
+static void take_tolerance(Unit *unit, double relative) { unit->reached.relative = relative; }
+
+static int step_to(Unit *unit, double begin, double end) {
+    (void)begin;
+    return go_to(unit, end);
 }
 
-int fmi3EnterInitializationMode(void *instance, bool has_tolerance, double tolerance, double start,
-                                bool has_stop, double stop) {
-    Unit *unit = instance;
-    Reached *reached = &unit->reached;
-    if (reached->stage != INSTANTIATED) return fail(unit, "The unit is initialized already");
-    if (has_tolerance && tolerance > 0.0) reached->relative = tolerance;
-    if (has_stop && !(stop > start)) return fail(unit, "The stop time must be after the start");
-    reached->time = start;
-    if (has_stop) reached->stop = stop;
-    reached->stage = INITIALIZATION;
-    return OK;
-}
+#include "fmi3_calls.c"
 
 /* The first states are those after whatever happens at the start: an impact, say. */
 int fmi3ExitInitializationMode(void *instance) {
@@ -130,46 +77,6 @@ int fmi3ExitInitializationMode(void *instance) {
     if (require_clock(unit) != OK) return ERROR;
     unit->reached.stage = STEPS;
     return go_to(unit, unit->reached.time);
-}
-
-int fmi3EnterStepMode(void *instance) {
-    Unit *unit = instance;
-    return unit->reached.stage == STEPS ? OK : fail(unit, "The unit takes no steps yet");
-}
-
-int fmi3Terminate(void *instance) {
-    Unit *unit = instance;
-    unit->reached.stage = TERMINATED;
-    return OK;
-}
-
-int fmi3Reset(void *instance) {
-    set_up(instance);
-    return OK;
-}
-
-int fmi3SetDebugLogging(void *instance, bool on, size_t n, const char *const categories[]) {
-    (void)instance, (void)on, (void)n, (void)categories;
-    return OK;
-}
-
-int fmi3DoStep(void *instance, double time, double size, bool no_return, bool *event, bool *ends,
-               bool *early, double *reached) {
-    Unit *unit = instance;
-    const double end = time + size;
-    int status;
-    (void)no_return;
-    *event = *ends = *early = false;
-    *reached = unit->reached.time;
-    if (unit->reached.stage != STEPS) return fail(unit, "The unit takes no steps now");
-    if (!(size >= 0.0) || !(fabs(time - unit->reached.time) <= 1e-9 * (1.0 + fabs(time))))
-        return fail(unit, "A step must start where the last one ended");
-    /* Sums of step sizes pass the stop time by rounding. */
-    if (end > unit->reached.stop + 1e-9 * (1.0 + fabs(end)))
-        return fail(unit, "The step ends after the stop time");
-    status = go_to(unit, end);
-    *reached = unit->reached.time;
-    return status;
 }
 
 int fmi3GetFloat64(void *instance, const uint32_t refs[], size_t n, double values[], size_t m) {

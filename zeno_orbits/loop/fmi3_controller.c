@@ -3,32 +3,17 @@
 
        cc -std=c99 -O2 -ffp-contract=off -fPIC -shared fmi3.c -lm -o CONTROLLER.so
 
-   These are the functions that its description offers; `fmi3_refused.c` has all others. */
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <stdlib.h>
+   These functions and those of `fmi3_calls.c` are what its description offers; `fmi3_refused.c` has all
+   others. */
 
 #include "CONTROLLER.c"
+#include "fmi3_head.c"
 
-#ifdef _WIN32
-#define API __declspec(dllexport)
-#elif defined(__GNUC__)
-#define API __attribute__((visibility("default")))
-#else
-#define API
-#endif
-
-enum { OK, WARNING, DISCARD, ERROR, FATAL };
-enum { INSTANTIATED, INITIALIZATION, STEPS, TERMINATED };
 enum { SENSORS = NAME_SENSORS, HELD = NAME_HELD, STOPS = NAME_STOPS, VOLTAGES = NAME_VOLTAGES };
 
 /* Value references: time, sensors, contacts, held states, voltages. */
 enum { AT_SENSORS = 1, AT_CONTACTS = AT_SENSORS + SENSORS, AT_HELD = AT_CONTACTS + STOPS };
 enum { AT_VOLTAGES = AT_HELD + HELD, N_REFERENCES = AT_VOLTAGES + VOLTAGES };
-
-typedef void (*Log)(void *environment, int status, const char *category, const char *message);
 
 typedef struct {
     int stage, contacts[STOPS + 1];
@@ -38,37 +23,9 @@ typedef struct {
     void *environment;
 } Unit;
 
-static int fail(const Unit *unit, const char *text) {
-    if (unit->log) unit->log(unit->environment, ERROR, "logStatusError", text);
-    return ERROR;
-}
-
-API const char *fmi3GetVersion(void);
-API void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources,
-                                      bool visible, bool logging, bool events, bool early,
-                                      const uint32_t intermediate[], size_t n, void *environment,
-                                      Log log, void (*update)(void));
-API void fmi3FreeInstance(void *instance);
-API int fmi3EnterInitializationMode(void *instance, bool has_tolerance, double tolerance,
-                                    double start, bool has_stop, double stop);
-API int fmi3ExitInitializationMode(void *instance);
-API int fmi3EnterStepMode(void *instance);
-API int fmi3Terminate(void *instance);
-API int fmi3Reset(void *instance);
-API int fmi3SetDebugLogging(void *instance, bool on, size_t n, const char *const categories[]);
-API int fmi3DoStep(void *instance, double time, double size, bool no_return, bool *event,
-                   bool *ends, bool *early, double *reached);
-API int fmi3GetFloat64(void *instance, const uint32_t refs[], size_t n, double values[], size_t m);
-API int fmi3SetFloat64(void *instance, const uint32_t refs[], size_t n, const double values[],
-                       size_t m);
 API int fmi3GetBoolean(void *instance, const uint32_t refs[], size_t n, bool values[], size_t m);
 API int fmi3SetBoolean(void *instance, const uint32_t refs[], size_t n, const bool values[],
                        size_t m);
-API int fmi3GetFMUState(void *instance, void **kept);
-API int fmi3SetFMUState(void *instance, void *kept);
-API int fmi3FreeFMUState(void *instance, void **kept);
-
-const char *fmi3GetVersion(void) { return "3.0"; }
 
 /* Everything as it is after instantiation. */
 static void set_up(Unit *unit) {
@@ -81,38 +38,20 @@ static void set_up(Unit *unit) {
     NAME_begin(&unit->controller);
 }
 
-void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources,
-                                  bool visible, bool logging, bool events, bool early,
-                                  const uint32_t intermediate[], size_t n, void *environment,
-                                  Log log, void (*update)(void)) {
-    Unit *unit;
-    (void)name, (void)resources, (void)visible, (void)logging, (void)early;
-    (void)intermediate, (void)update;
-    if (!token || strcmp(token, INSTANTIATION_TOKEN) != 0 || events || n > 0) {
-        if (log) log(environment, ERROR, "logStatusError", "The unit does not fit its description");
-        return 0;
-    }
-    unit = calloc(1, sizeof *unit);
-    if (!unit) return 0;
-    unit->log = log;
-    unit->environment = environment;
-    set_up(unit);
-    return unit;
-}
+static Unit *new_unit(void) { return calloc(1, sizeof(Unit)); }
 
-void fmi3FreeInstance(void *instance) { free(instance); }
+static void take_tolerance(Unit *unit, double relative) { (void)unit, (void)relative; }
 
-int fmi3EnterInitializationMode(void *instance, bool has_tolerance, double tolerance, double start,
-                                bool has_stop, double stop) {
-    Unit *unit = instance;
-    (void)has_tolerance, (void)tolerance;
-    if (unit->stage != INSTANTIATED) return fail(unit, "The unit is initialized already");
-    if (has_stop && !(stop > start)) return fail(unit, "The stop time must be after the start");
-    unit->time = start;
-    if (has_stop) unit->stop = stop;
-    unit->stage = INITIALIZATION;
+static int step_to(Unit *unit, double begin, double end) {
+    NAME_step(&unit->controller, begin, unit->sensors, unit->contacts, unit->voltages);
+    unit->time = end;
     return OK;
 }
+
+#define AT(unit) (*(unit))
+#include "fmi3_calls.c"
+
+void fmi3FreeInstance(void *instance) { free(instance); }
 
 int fmi3ExitInitializationMode(void *instance) {
     Unit *unit = instance;
@@ -121,45 +60,6 @@ int fmi3ExitInitializationMode(void *instance) {
     joined(&unit->controller, unit->sensors, x);
     voltage(x, unit->voltages);
     unit->stage = STEPS;
-    return OK;
-}
-
-int fmi3EnterStepMode(void *instance) {
-    Unit *unit = instance;
-    return unit->stage == STEPS ? OK : fail(unit, "The unit takes no steps yet");
-}
-
-int fmi3Terminate(void *instance) {
-    Unit *unit = instance;
-    unit->stage = TERMINATED;
-    return OK;
-}
-
-int fmi3Reset(void *instance) {
-    set_up(instance);
-    return OK;
-}
-
-int fmi3SetDebugLogging(void *instance, bool on, size_t n, const char *const categories[]) {
-    (void)instance, (void)on, (void)n, (void)categories;
-    return OK;
-}
-
-int fmi3DoStep(void *instance, double time, double size, bool no_return, bool *event, bool *ends,
-               bool *early, double *reached) {
-    Unit *unit = instance;
-    const double end = time + size;
-    (void)no_return;
-    *event = *ends = *early = false;
-    *reached = unit->time;
-    if (unit->stage != STEPS) return fail(unit, "The unit takes no steps now");
-    if (!(size >= 0.0) || !(fabs(time - unit->time) <= 1e-9 * (1.0 + fabs(time))))
-        return fail(unit, "A step must start where the last one ended");
-    /* Sums of step sizes pass the stop time by rounding. */
-    if (end > unit->stop + 1e-9 * (1.0 + fabs(end)))
-        return fail(unit, "The step ends after the stop time");
-    NAME_step(&unit->controller, time, unit->sensors, unit->contacts, unit->voltages);
-    *reached = unit->time = end;
     return OK;
 }
 
@@ -227,7 +127,7 @@ int fmi3SetBoolean(void *instance, const uint32_t refs[], size_t n, const bool v
 
 int fmi3GetFMUState(void *instance, void **kept) {
     const Unit *unit = instance;
-    if (!*kept) *kept = calloc(1, sizeof *unit);
+    if (!*kept) *kept = new_unit();
     if (!*kept) return fail(unit, "There is no memory");
     memcpy(*kept, unit, sizeof *unit);
     return OK;

@@ -3,8 +3,6 @@
    So they do not depend on the communication points, unless a parameter or an input changes: then the
    run starts anew from the state reached. */
 
-enum { OK, WARNING, DISCARD, ERROR, FATAL };
-enum { INSTANTIATED, INITIALIZATION, STEPS, TERMINATED };
 enum { PENDING = 64, ROOM = ZL_AT_ONCE(ZL_STOPS, ZL_GUARDS) + 2, ESTIMATES = 64 };
 
 #define OFF_CIRCLE 1e-9 /* of a clock, as in model/numeric/admission.py */
@@ -12,8 +10,6 @@ enum { PENDING = 64, ROOM = ZL_AT_ONCE(ZL_STOPS, ZL_GUARDS) + 2, ESTIMATES = 64 
 /* Value references: time, states, parameters, then these. With several stops the last three follow for
    every stop. */
 enum { MODE, IMPACTS, ZENO_POINTS, ZENO_TIME, OTHERS };
-
-typedef void (*Log)(void *environment, int status, const char *category, const char *message);
 
 /* Where the run is inside of its last step, or on the way to a Zeno point. */
 typedef struct {
@@ -76,10 +72,7 @@ static int of_stop(uint32_t ref, int *stop) {
     return IMPACTS + (int)(place % 3);
 }
 
-static int fail(const Unit *unit, const char *text) {
-    if (unit->log) unit->log(unit->environment, ERROR, "logStatusError", text);
-    return ERROR;
-}
+static int fail(const Unit *unit, const char *text);
 
 static int fail_at(const Unit *unit, const char *text, double time) {
     char line[160];

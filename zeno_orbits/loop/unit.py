@@ -334,8 +334,7 @@ def _variables(unit: ExportedUnit) -> Iterator[Variable]:
         *((own, "") for own in _OWN),
         *((own, stop) for stop in run.stop_names if several for own in _OWN[1:]),
     ]:
-        name = _free_name(f"{own}_{stem_of(stop)}" if stop else own, taken)
-        taken.add(name)
+        name = free_name(f"{own}_{stem_of(stop)}" if stop else own, taken)
         meaning = _MEANINGS[own] + (f", on the stop {stop}" if stop else "")
         if several and own == "mode":
             powers = (f"{2**k} for {stop}" for k, stop in enumerate(run.stop_names))
@@ -362,8 +361,14 @@ def _attributes(
     return {**found, **{key: repr(end) for key, end in ends.items() if math.isfinite(end)}}
 
 
-def _free_name(name: str, taken: Collection[str]) -> str:
-    """Return a name that no state and no parameter has."""
+def free_name(name: str, taken: set[str]) -> str:
+    """Return a name that no other variable has, and take it.
+
+    Args:
+        name: The name, to which underscores are added if it is taken.
+        taken: Names of the other variables, to which the result is added.
+    """
     while name in taken:
         name += "_"
+    taken.add(name)
     return name
