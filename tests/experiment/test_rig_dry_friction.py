@@ -14,7 +14,7 @@ import pytest
 import zeno_orbits as zo
 from tests.reference.friction_loop import LinearMachine
 from tests.support.disc import DISC, ELECTRIC
-from tests.support.linear_friction import start_of
+from tests.support.linear_friction import problem_of, start_of
 from tests.support.mechanisms import machine_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import RigSettings, run_rig
@@ -118,39 +118,11 @@ def chain(seed: int) -> LinearMachine:
     )
 
 
-def chain_problem(machine: LinearMachine) -> zo.Problem:
-    """Return it as a problem without its friction."""
-
-    def model(_: Mapping[str, ca.SX]) -> zo.CompletedSystem:
-        q, v = ca.SX.sym("q", machine.n), ca.SX.sym("v", machine.n)
-        constant, inductance, resistance, voltage = map(ca.SX, machine.circuit)
-        links = zo.HybridLagrangian.from_energies(
-            q=q,
-            v=v,
-            kinetic=ca.bilin(ca.DM(machine.mass), v) / 2,
-            potential=ca.bilin(ca.DM(machine.stiffness), q) / 2 - ca.dot(machine.load, q),
-            passive_force=-ca.mtimes(ca.DM(machine.damping), v),
-        )
-        bank = zo.MotorBank(
-            selection=ca.SX(machine.motor),
-            resistance=resistance,
-            inductance=inductance,
-            torque_constant=constant,
-            emf_constant=constant,
-            voltage=voltage,
-        )
-        return zo.hybrid_system(links, zo.full_drive(links, bank))
-
-    n = machine.n
-    units = {f"q{k}": "m" for k in range(n)} | {f"v{k}": "m/s" for k in range(n)} | {"i": "A"}
-    return machine_of(model, units, {})
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2, 3, 5, 17, 23, 28])
 def test_random_machines_stick_and_slip_as_another_event_loop_says(seed: int) -> None:
     machine, until, spacing = chain(seed), 6.0, 1e-3
-    problem = chain_problem(machine)
+    problem = problem_of(machine, is_bare=True)
     rig = zo.Rig(
         friction={f"q{j}": zo.Friction(coulomb=t) for j, t in enumerate(machine.torques.tolist())}
     )

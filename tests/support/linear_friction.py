@@ -18,8 +18,13 @@ PLASTIC = 1e-4
 _KINDS = {"Impact": "impact", "ZenoPoint": "zeno", "Release": "release"}
 
 
-def problem_of(machine: LinearMachine) -> zo.Problem:
-    """Return a linear machine as a problem."""
+def problem_of(machine: LinearMachine, *, is_bare: bool = False) -> zo.Problem:
+    """Return a linear machine as a problem.
+
+    Args:
+        machine: The machine.
+        is_bare: True without its stop and its friction.
+    """
 
     def model(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
         n = machine.n
@@ -31,7 +36,7 @@ def problem_of(machine: LinearMachine) -> zo.Problem:
             kinetic=ca.bilin(ca.DM(machine.mass), v) / 2,
             potential=ca.bilin(ca.DM(machine.stiffness), q) / 2 - ca.dot(machine.load, q),
             passive_force=-ca.mtimes(ca.DM(machine.damping), v),
-            gap=ca.dot(machine.normal, q),
+            **({} if is_bare else {"gap": ca.dot(machine.normal, q)}),
         )
         bank = zo.MotorBank(
             selection=ca.SX(machine.motor),
@@ -41,6 +46,8 @@ def problem_of(machine: LinearMachine) -> zo.Problem:
             emf_constant=constant,
             voltage=voltage,
         )
+        if is_bare:
+            return zo.hybrid_system(mechanism, zo.full_drive(mechanism, bank))
         frictions = [
             zo.DryFriction(f"f{k}", rate=ca.dot(row, v) - belt, torque=torque, static=static)
             for k, (row, belt, torque, static) in enumerate(
@@ -61,7 +68,10 @@ def problem_of(machine: LinearMachine) -> zo.Problem:
         for part, unit in zip("qv", ("m", "m/s"), strict=True)
         for k in range(machine.n)
     }
-    units |= {"i": "A"} | {f"side_f{k}": "1" for k in range(len(machine.rows))}
+    units |= {"i": "A"}
+    if is_bare:
+        return machine_of(model, units, {})
+    units |= {f"side_f{k}": "1" for k in range(len(machine.rows))}
     return machine_of(model, units, {"e": machine.restitution})
 
 

@@ -218,8 +218,8 @@ class _Follower:
         above, sides = self._signs_at(self._mode.sides)
         self._mode = replace(self._mode, above=above, sides=sides)
 
-    def _settle_dry(self, fell: tuple[int, int] | None = None) -> None:
-        """Let the parts with dry friction slip or stick as their laws ask.
+    def _settle_dry(self, fell: tuple[int, int] | None = None) -> DryLoad | None:
+        """Let the parts with dry friction slip or stick as their laws ask, and return their load.
 
         Args:
             fell: Index of the part whose guard has fallen, and which one, or ``None`` at an event
@@ -230,16 +230,19 @@ class _Follower:
         """
         before = tuple(int(one) for one in self._y[list(self._machine.dry_sides)])
         if not before:
-            return
+            return None
         part, kind = fell or (-1, -1)
         fixed = {part: 1 if kind == 1 else -1} if kind > 0 else {}
         at_rest = (part,) if kind == 0 else ()
-        after = self._dry_load().sides(before, fixed=fixed, at_rest=at_rest)
+        load = self._dry_load()
+        after = load.sides(before, fixed=fixed, at_rest=at_rest)
         if after is None:
             names = ", ".join(f"`{name}`" for name in self._machine.dry_names)
             self._stop(SimulationError, f"No forces fulfil the laws of dry friction of {names}")
-        if after != before:
-            self._take_dry_sides(after)
+        if after == before:
+            return load
+        self._take_dry_sides(after)
+        return self._dry_load()
 
     def _signs_at(self, before: tuple[bool, ...]) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
         """Return the side of every declared switch and kink at the state. A zero keeps the side."""
@@ -279,8 +282,7 @@ class _Follower:
                 edge = min(until, self._loop.next_edge)
             edge = min([edge, *self._persists.values()])
             before = self._time
-            self._settle_dry()
-            self._leg(edge)
+            self._leg(edge, self._settle_dry())
             for stop in [k for k, end in self._persists.items() if end <= self._time]:
                 del self._persists[stop]
                 self._rested.add(stop)
@@ -296,9 +298,14 @@ class _Follower:
     def _stop(self, kind: type[SimulationError], reason: str) -> NoReturn:
         raise kind(reason, time=self._time, state=tuple(self._y.tolist()))
 
-    def _leg(self, edge: float) -> None:
-        """Follow one mode to an edge, or to the first event."""
-        guards = list(self._guards())
+    def _leg(self, edge: float, load: DryLoad | None) -> None:
+        """Follow one mode to an edge, or to the first event.
+
+        Args:
+            edge: Time of the edge [s].
+            load: Load of the parts with dry friction at the start, if there are any.
+        """
+        guards = list(self._guards(load))
         horizon = edge - self._time
         if len(guards) > 1:
             horizon = min(horizon, self._window)
@@ -321,7 +328,7 @@ class _Follower:
         else:
             self._settle_dry(divmod(fell - first_dry, GUARDS_PER_PART))
 
-    def _guards(self) -> Iterator[RigGuard]:
+    def _guards(self, load: DryLoad | None) -> Iterator[RigGuard]:
         """Yield the guards of the mode, first the one that is expected to fall first."""
         gaps, rates = self._gaps()
         signs = np.where(np.isin(np.arange(gaps.size), self._mode.touched), -1.0, 1.0)
@@ -339,13 +346,11 @@ class _Follower:
                 continue
             on_guard = bool((value if side else -value) <= level)
             yield RigGuard(gaps.size + s, on_guard=on_guard, rounding=float(level), above=side)
-        yield from self._dry_guards()
+        if load is not None:
+            yield from self._dry_guards(load)
 
-    def _dry_guards(self) -> Iterator[RigGuard]:
+    def _dry_guards(self, load: DryLoad) -> Iterator[RigGuard]:
         """Yield the rate of every part that slips, and what is left of the others' friction."""
-        if not self._machine.dry_names:
-            return
-        load = self._dry_load()
         for j, side in enumerate(self._y[list(self._machine.dry_sides)].tolist()):
             first = self._machine.first_dry + GUARDS_PER_PART * j
             if side:
