@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -122,8 +122,8 @@ class UncertainLoop:
 
     @property
     def _sizes(self) -> Vector:
-        units = np.where(self.centre != 0.0, np.abs(self.centre), 1.0)
-        return np.concatenate([self.returns.sizes, units]) if self.delay else self.returns.sizes
+        own = self.returns.sizes
+        return np.concatenate([own, input_sizes(self.centre)]) if self.delay else own
 
     def corners(self, gain: Vector) -> tuple[LoopCorner, ...]:
         """Return the loop with a gain at each corner.
@@ -263,15 +263,51 @@ class UncertainLoop:
         gains = {**values.gains, **{k: v for k, v in numbers.items() if k in values.gains}}
         others = {**values.parameters, **{k: v for k, v in numbers.items() if k not in gains}}
         found = known.slopes(state[:d], gains, others)
-        both = np.concatenate([found.gain_jacobian, found.parameter_jacobian], axis=1)
         names = (*known.gain_names, *known.parameter_names)
-        a, b = found.jacobian, both[:, [names.index(name) for name in self.inputs]]
-        after, by_inputs = found.point, b @ free
-        if self.delay:
-            m = len(self.inputs)
-            a = np.block([[a, b], [np.zeros((m, d + m))]])
-            after, by_inputs = np.concatenate([after, follow]), np.vstack([np.zeros((d, m)), free])
-        return _Step(after, used, a - by_inputs @ gain, by_inputs)
+        a, b = loop_derivatives(found, names, self.inputs, delay=self.delay)
+        after = np.concatenate([found.point, follow]) if self.delay else found.point
+        return _Step(after, used, a - b @ free @ gain, b @ free)
+
+
+class _Derivatives(Protocol):
+    """Derivatives of a return."""
+
+    @property
+    def jacobian(self) -> Vector: ...
+    @property
+    def gain_jacobian(self) -> Vector: ...
+    @property
+    def parameter_jacobian(self) -> Vector: ...
+
+
+def loop_derivatives(
+    found: _Derivatives, names: Sequence[str], inputs: Sequence[str], *, delay: bool
+) -> tuple[Vector, Vector]:
+    """Return the derivatives of the next state of a loop by its state and by the inputs.
+
+    Args:
+        found: Derivatives of the return.
+        names: Names of the gains, then of the parameters.
+        inputs: Names of the inputs.
+        delay: True if the state of the loop is the point and the inputs in use.
+    """
+    both = np.concatenate([found.gain_jacobian, found.parameter_jacobian], axis=1)
+    a, b = found.jacobian, both[:, [names.index(name) for name in inputs]]
+    if not delay:
+        return a, b
+    d, m = b.shape
+    kept = np.zeros((d + m, d + m))
+    kept[:d] = np.concatenate([a, b], axis=1)
+    return kept, np.concatenate([np.zeros((d, m)), np.eye(m)])
+
+
+def input_sizes(centre: Vector) -> Vector:
+    """Return the sizes of inputs: their values in the orbit, 1 for an input that is zero.
+
+    Args:
+        centre: The values, ``(m,)``.
+    """
+    return np.where(centre != 0.0, np.abs(centre), 1.0)
 
 
 def _worst(points: Sequence[_Point]) -> float:
@@ -326,13 +362,33 @@ def require_orbit_inside(
 ) -> None:
     """Refuse ranges that lack the value of the orbit, or that are inputs.
 
+    Args:
+        uncertain: Name to range of the uncertain parameters.
+        returns: The return map of the orbit.
+        inputs: Names of the inputs.
+
     Raises:
         InputError: If there is one.
     """
-    for name, (low, high) in uncertain.items():
-        value = returns.values.number(name)
+    for name, ends in uncertain.items():
         if name in inputs:
             raise InputError(f"Argument `uncertain` must not name the input `{name}`.")
-        if not low <= value <= high:
-            told = f"{low:g}:{high:g} of `{name}` lacks its value {value:.9g} in the orbit"
-            raise InputError(f"Argument `uncertain`: the range {told}.")
+        require_value_inside("uncertain", name, returns.values.number(name), ends)
+
+
+def require_value_inside(argument: str, name: str, value: float, ends: tuple[float, float]) -> None:
+    """Refuse a range that lacks the value of the orbit.
+
+    Args:
+        argument: Name of the argument, for the message.
+        name: Name of the gain or parameter.
+        value: Its value in the orbit.
+        ends: The range.
+
+    Raises:
+        InputError: If the value is outside.
+    """
+    low, high = ends
+    if not low <= value <= high:
+        told = f"{low:g}:{high:g} of `{name}` lacks its value {value:.9g} in the orbit"
+        raise InputError(f"Argument `{argument}`: the range {told}.")

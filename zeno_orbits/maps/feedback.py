@@ -37,7 +37,14 @@ from zeno_orbits.errors import (
     number_range,
     shown,
 )
-from zeno_orbits.maps.corners import LoopCorner, UncertainLoop, require_orbit_inside
+from zeno_orbits.maps.corners import (
+    LoopCorner,
+    UncertainLoop,
+    input_sizes,
+    loop_derivatives,
+    require_orbit_inside,
+    require_value_inside,
+)
 from zeno_orbits.model import (
     HeldLaw,
     Problem,
@@ -150,7 +157,7 @@ class Feedback(TableRepr):
     def scaled_loop(self) -> tuple[Vector, Vector]:
         """Derivative of the loop, ``(n, n)``, and its matrix `K`, ``(m, n)``, relative to sizes."""
         a, b = _loop(self.returns, self.inputs, self.delay)
-        units = _input_sizes(self.centre)
+        units = input_sizes(self.centre)
         sizes = np.concatenate([self.returns.sizes, units]) if self.delay else self.returns.sizes
         loop = (a - b @ self.gain) * sizes / sizes[:, None]
         return loop, self.gain * sizes / units[:, None]
@@ -455,7 +462,7 @@ class Feedback(TableRepr):
         try:
             for point, _, after, _ in islice(self._loop_from(centre + away), n):
                 off = float(np.max(np.abs(point - centre) / sizes))
-                acts = np.max(np.abs(after - self.centre) / _input_sizes(self.centre))
+                acts = np.max(np.abs(after - self.centre) / input_sizes(self.centre))
                 if max(off, float(acts)) < _BACK:
                     return True
         except _LOST:
@@ -526,7 +533,7 @@ def feedback_of(
     box = _checked_ranges(returns, names, method, uncertain)
     a, b = _loop(returns, names, delay)
     centre = np.array([returns.values.number(name) for name in names])
-    units = _input_sizes(centre)
+    units = input_sizes(centre)
     sizes = np.concatenate([returns.sizes, units]) if delay else returns.sizes
     scaled_a, scaled_b = a * sizes / sizes[:, None], b * units / sizes[:, None]
     known = eigenvalues(scaled_a)
@@ -558,15 +565,8 @@ def feedback_of(
 
 def _loop(returns: ReturnMap, inputs: Sequence[str], delay: bool) -> tuple[Vector, Vector]:
     """Return the derivatives of a return by its state and by the inputs."""
-    both = np.concatenate([returns.gain_jacobian, returns.parameter_jacobian], axis=1)
     names = (*returns.gain_names, *returns.parameter_names)
-    a, b = returns.jacobian, both[:, [names.index(name) for name in inputs]]
-    if not delay:
-        return a, b
-    d, m = b.shape
-    kept = np.zeros((d + m, d + m))
-    kept[:d] = np.concatenate([a, b], axis=1)
-    return kept, np.concatenate([np.zeros((d, m)), np.eye(m)])
+    return loop_derivatives(returns, names, inputs, delay=delay)
 
 
 def _checked_inputs(returns: ReturnMap, inputs: Inputs) -> tuple[str, ...]:
@@ -634,11 +634,9 @@ def _range_of(returns: ReturnMap, inputs: Inputs, name: str) -> tuple[float, flo
     value = returns.values.number(name)
     given = inputs.get(name) if isinstance(inputs, Mapping) else None
     if given is not None:
-        low, high = number_range("inputs", given, name)
-        if not low <= value <= high:
-            told = f"{low:g}:{high:g} of `{name}` lacks its value {value:.9g} in the orbit"
-            raise InputError(f"Argument `inputs`: the range {told}.")
-        return low, high
+        ends = number_range("inputs", given, name)
+        require_value_inside("inputs", name, value, ends)
+        return ends
     problem = returns.problem
     one = next(one for one in (*problem.gains, *problem.parameters) if one.name == name)
     low, high = one.closed_range()
@@ -756,10 +754,6 @@ def _checked_multipliers(wished: Sequence[float | complex], rank: int) -> Vector
     if np.max(np.abs(np.poly(target).imag), initial=0.0) > 1e-12:
         raise InputError("Argument `multipliers` must hold complex numbers in conjugate pairs.")
     return target
-
-
-def _input_sizes(centre: Vector) -> Vector:
-    return np.where(centre != 0.0, np.abs(centre), 1.0)
 
 
 def _radius(multipliers: Sequence[complex]) -> float:
