@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from zeno_orbits.arrays import Vector
@@ -18,6 +19,21 @@ ROUNDING = 4 * 2.0**-52
 relative to its size in the problem."""
 LATE = 4.0
 """Spacings of the numbers at the end of the time, within which no event before it counts."""
+
+
+def rounding_of(formula: Callable[[Vector], float], x: Vector) -> float:
+    """Return the rounding of a formula by the rounding of its states.
+
+    Args:
+        formula: The formula of the state.
+        x: The state, ``(n_x,)``.
+    """
+    value, total = formula(x), 0.0
+    for k in range(x.size):
+        moved = x.copy()
+        moved[k] += ROUNDING * x[k]
+        total += abs(formula(moved) - value)
+    return total
 
 
 def late_before(until: float, apart: float = 0.0) -> float:

@@ -49,7 +49,7 @@ from zeno_orbits.model import (
 )
 from zeno_orbits.simulation.accumulations import Accumulations
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart, launched
-from zeno_orbits.simulation.event_rules import ROUNDING, stop_holds
+from zeno_orbits.simulation.event_rules import ROUNDING, rounding_of, stop_holds
 from zeno_orbits.simulation.events import EventKind, Impact, Release, SwitchEvent, ZenoPoint
 from zeno_orbits.simulation.execution import Arc, Ending, Execution, Mode, closed_names
 from zeno_orbits.simulation.interruptions import (
@@ -1664,13 +1664,7 @@ class ReferenceRun(StopRun):
 
     def _rounding_of_states(self, stop: int, x: Vector) -> float:
         """Return the rounding of a gap by the rounding of its states."""
-        view = self._view((), stop)
-        gap, total = view.gap(x), 0.0
-        for k in range(x.size):
-            moved = x.copy()
-            moved[k] += ROUNDING * x[k]
-            total += abs(view.gap(moved) - gap)
-        return total
+        return rounding_of(self._view((), stop).gap, x)
 
     def _closes(self, stop: int, gap: float, rate: float, x: Vector, largest: float) -> bool:
         """Return True if a gap falls through zero at a state, to its rounding.

@@ -13,12 +13,11 @@ closes after a time of order :math:`3 w / |r|`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.simulation.event_rules import ROUNDING
+from zeno_orbits.simulation.event_rules import ROUNDING, rounding_of
 
 _PART = 1e-5
 """Of the problem's own time, over which the rate of the multiplier is differentiated."""
@@ -79,17 +78,7 @@ def small_hop(dynamics: HybridDynamics, state: Vector, relative: float) -> Small
     error = max(relative * highest, ROUNDING * dynamics.own.gap_acceleration)
     launch, height = error * math.sqrt(error / highest), 0.0
     rate = dynamics.gap_rate(state)
-    if rate > _rounding(dynamics.gap_rate, state):
+    if rate > rounding_of(dynamics.gap_rate, state):
         launch = max(launch, rate / duration)
         height = max(dynamics.gap(state), 0.0) / (duration * duration)
     return SmallHop(duration=duration, error=error, launch=launch, height=height)
-
-
-def _rounding(formula: Callable[[Vector], float], x: Vector) -> float:
-    """Return the rounding of a formula by the rounding of its states."""
-    value, total = formula(x), 0.0
-    for k in range(x.size):
-        moved = x.copy()
-        moved[k] += ROUNDING * x[k]
-        total += abs(formula(moved) - value)
-    return total
