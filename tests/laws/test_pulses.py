@@ -17,10 +17,10 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
+from tests.support.same_bits import agreed
 from tests.support.tabled import mass, moved, oscillator
-from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy
-from zeno_orbits.simulation import SimulationSettings, SimulationTask, by_reference
-from zeno_orbits.simulation.compiled.executions import by_loop
+from zeno_orbits.integrators import Engine, Radau, SciPy
+from zeno_orbits.simulation import SimulationSettings
 
 KINDS = ("linear", "monotone", "cubic")
 EXACT = 1e-10
@@ -168,17 +168,7 @@ def test_loop_and_reference_take_the_same_steps_through_a_pulse(over: str) -> No
         times: Any = np.arange(400) * 0.01
         record = zo.record(times, samples, kind="cubic", period=period)
         problem = oscillator(record)
-    task = SimulationTask(
-        dynamics=problem.graph_dynamics(problem.values()),
-        state=np.array(problem.state_vector(problem.starts[0])),
-        until=3.5,
-        settings=SimulationSettings(engine=RungeKutta()),
-    )
-    found, wanted = by_loop(task), by_reference(task)
-    assert found is not None
-    assert np.array_equal(found.end_state, wanted.end_state)
-    for one, other in zip(found.arcs, wanted.arcs, strict=True):
-        assert np.array_equal(one.flow_times, other.flow_times)
+    agreed(problem, 3.5)
 
 
 @pytest.mark.parametrize("engine", [Radau(), SciPy(method=DOP853)])

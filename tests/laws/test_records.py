@@ -20,9 +20,9 @@ from scipy.linalg import expm
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.reference.rocking_by_hand import rocking_by_hand
+from tests.support.same_bits import agreed
 from tests.support.tabled import FLOW, followed, moved, oscillator, under
 from zeno_orbits.errors import ChatterError, DataFileError, InputError
-from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.simulation import SimulationSettings, SimulationTask, by_reference
 from zeno_orbits.simulation.compiled.executions import by_loop
 
@@ -144,16 +144,7 @@ def test_loop_and_reference_agree_in_every_bit_under_a_record(
     inputs = np.random.default_rng(2).normal(size=20)
     record = zo.record(np.linspace(0.0, 1.9, 20), inputs, period=period, kind=kind)
     problem = oscillator(record)
-    task = SimulationTask(
-        dynamics=problem.graph_dynamics(problem.values()),
-        state=np.array(problem.state_vector(problem.starts[0])),
-        until=3.0,
-        settings=SimulationSettings(engine=RungeKutta()),
-    )
-    found, wanted = by_loop(task), by_reference(task)
-    assert found is not None
-    assert [one.time for one in found.events] == [one.time for one in wanted.events]
-    assert np.array_equal(found.end_state, wanted.end_state)
+    agreed(problem, 3.0)
 
 
 @pytest.mark.parametrize("n", [161, 2000, 20_000])

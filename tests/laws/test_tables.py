@@ -20,18 +20,15 @@ from mpmath import mp, mpf
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.reference.through_cells import through_cells
+from tests.support.same_bits import agreed
 from tests.support.tabled import Formula, mass, wavy
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.orbits import event_return
 from zeno_orbits.simulation import (
-    Execution,
     SimulationSettings,
-    SimulationTask,
     SwitchEvent,
-    by_reference,
 )
-from zeno_orbits.simulation.compiled.executions import by_loop
 
 EXACT = 1e-12
 LOCATED = 1e-10
@@ -204,19 +201,6 @@ MACHINES: dict[str, Formula] = {
         zo.table((x, v), ([-1, 1, 3], [-9, -1, 1, 9]), np.arange(12.0).reshape(3, 4) / 5) - 9
     ),
 }
-
-
-def agreed(problem: zo.Problem, until: float, settings: SimulationSettings) -> Execution:
-    """Require that loop and reference agree in every bit, and return what they give."""
-    graph = problem.graph_dynamics(problem.values())
-    start = np.array(problem.state_vector(problem.starts[0]))
-    task = SimulationTask(dynamics=graph, state=start, until=until, settings=settings)
-    found, wanted = by_loop(task), by_reference(task)
-    assert found is not None
-    assert [type(one) for one in found.events] == [type(one) for one in wanted.events]
-    assert [one.time for one in found.events] == [one.time for one in wanted.events]
-    assert np.array_equal(found.end_state, wanted.end_state)
-    return found
 
 
 @needs_compiler
