@@ -51,7 +51,7 @@ def _check(orbit: Orbit, radius: float, shares: list[float]) -> None:
         radii = [radius * max(abs(y[k]), 1e-3) for k in places]
         exact = [arb(value) for value in y]
         start = start_on_section(system, exact, places, others, radii)
-        begin = ProofStage.started(start.at, Departure.RELEASED)
+        begin = ProofStage.started(start.at, Departure.RELEASED, (0, (), -1))
         passage = walk(machine, begin, 1, WalkSettings(), lambda *_: None)
         offset = [arb(s) * r for s, r in zip(shares, radii, strict=False)]
         inside = list(exact)

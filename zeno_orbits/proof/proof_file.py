@@ -211,11 +211,12 @@ def _machine_data(
     if system.view is None:
         return {}
     own = tuple(map(int, system.view.sides))
+    held = {"held": system.view.held} if system.view.held >= 0 else {}
     used = {own}
     for _, passage in passes:
         used |= {tuple(record.fields.get("sides", own)) for record in passage.records}
     return {
-        "machine": {"stop": system.view.stop, "sides": list(own)},
+        "machine": {"stop": system.view.stop, "sides": list(own), **held},
         "digest": joined_digest(
             view.expressions.digest
             for sides in sorted(used)

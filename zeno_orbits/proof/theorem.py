@@ -461,8 +461,8 @@ class Proof:
             returns = " It returns to just before the switch." if self.switch else ""
             return (
                 "From every point of box 1 the completed execution has these events in turn, and"
-                f" no others: {', '.join(self.events)}. Between them at most one stop is closed,"
-                " under pressure, and all other gaps are positive. The switches are crossed"
+                f" no others: {', '.join(self.events)}. Between them each closed stop is under"
+                " pressure, and all other gaps are positive. The switches are crossed"
                 f" transversally.{returns}"
             )
         if self.impacts:

@@ -14,7 +14,7 @@ import hashlib
 import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple, cast
 
@@ -57,10 +57,12 @@ class MachineView:
     Attributes:
         stop: Index of the stop.
         sides: Side of every kink, True where its condition is positive.
+        held: Index of another stop that is held closed, or -1.
     """
 
     stop: int
     sides: tuple[bool, ...]
+    held: int = -1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,12 +93,16 @@ class ProofExpressions:
             impact, in addition to the gap.
         defined: The gap and the holonomic constraints as the problem states them. The proof needs
             that they are analytic along the motion.
-        holonomic: The holonomic constraints of the problem.
+        holonomic: The holonomic constraints of the problem, and gap and gap rate of a held stop.
         n_stops: Number of stops, whose gaps and gap rates are states if `coordinate` is None.
         gaps: Gap and gap rate of every stop as functions of the problem's states.
         guards: Guards of the declared switches, then the conditions of the kinks on their sides.
         armed: The formulas `armed` of the declared switches.
         resets: State after each declared switch, ``(N,)`` each.
+        room: Determinant of the responses of the own and the held stop, each in units of its own.
+            It is positive if they are independent. Empty without a held stop.
+        pushed: Change of the gap rate of the held stop per unit of the own one if it were not held.
+            It is negative if an impact presses the held stop. Empty if it is zero.
     """
 
     digest: str
@@ -121,6 +127,8 @@ class ProofExpressions:
     guards: ca.SX
     armed: ca.SX
     resets: tuple[ca.SX, ...]
+    room: ca.SX
+    pushed: ca.SX
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,6 +136,8 @@ class _Seen:
     """A view of a machine: its system with one stop, and what else the machine has.
 
     Attributes:
+        held: The stop that is held, or -1.
+        beside: Impulse direction of the stop that is held, or empty.
         moves: True if a reset changes a state on which a gap or a gap rate depends.
     """
 
@@ -137,6 +147,8 @@ class _Seen:
     guards: ca.SX
     armed: ca.SX
     resets: tuple[ca.SX, ...]
+    held: int = -1
+    beside: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     moves: bool = False
 
 
@@ -149,9 +161,13 @@ def _seen(problem: Problem, symbols: Mapping[str, ca.SX], view: MachineView | No
     n, sides = len(graph.switches), view.sides
     every = [graph.guard(sides, k) for k in range(n + len(sides))]
     gaps = tuple(stop.gap for stop in watched(graph.stops))
-    system = system_of_stop(graph, ((), sides), view.stop)
+    system, beside = system_of_stop(graph, ((), sides), view.stop), none
+    if view.held >= 0:
+        beside = system_of_stop(graph, ((), sides), view.held).impulse_direction
     return _Seen(
         system=system,
+        held=view.held,
+        beside=beside,
         gaps=gaps,
         moves=any(_moves(system, gaps, one) for one in graph.resets),
         stop=view.stop,
@@ -185,6 +201,7 @@ def _given(seen: _Seen, x: ca.SX, p: ca.SX) -> ca.Function:
         ca.vertcat(*seen.gaps),
         seen.guards,
         seen.armed,
+        seen.beside,
         *seen.resets,
     ]
     outputs = [ca.densify(ca.SX(one)) for one in given]
@@ -217,13 +234,13 @@ def proof_expressions(
     one = ca.SX.sym("one")
     outputs, names, values = _without_constants(function, one * x, one * p, one * impact_speed)
     over = [symbols[name] for name in carried]
-    resets = [_bare(*pair, x) for pair in zip(outputs[9:], seen.resets, strict=True)]
-    formulas, coordinate = _Formulas._make([*outputs[:9], resets]).at_impacts(x), None
+    resets = [_bare(*pair, x) for pair in zip(outputs[10:], seen.resets, strict=True)]
+    formulas, coordinate = _Formulas._make([*outputs[:10], resets]).at_impacts(x), None
     if len(seen.gaps) == 1 and not seen.moves:
         coordinate = _coordinate(system.n_q, x, one, formulas.gap, formulas.free, over)
     if coordinate is None:
         moving = [_moves(system, seen.gaps, one) for one in seen.resets]
-        form = _with_gap_states(formulas, x, over, seen.stop, moving)
+        form = _with_gap_states(formulas, x, over, (seen.stop, seen.held), moving)
     else:
         form = _with_gap_coordinate(formulas, x, over, coordinate, system.n_q)
     # A symbol is used because CasADi would round the value of a function at the number 0.
@@ -260,7 +277,28 @@ class _Formulas(NamedTuple):
     gaps: ca.SX
     guards: ca.SX
     armed: ca.SX
+    beside: ca.SX
     resets: Sequence[ca.SX]
+
+    def holding(self, x: ca.SX, stop: int, held: int) -> tuple[_Formulas, ca.SX, ca.SX]:
+        """Return the formulas while a stop is held closed, and `room` and `pushed` of a view.
+
+        The direction is normalised.
+        """
+        none, rates = ca.SX(0, 1), ca.jtimes(self.gaps, x, self.free)
+        if not ca.depends_on(self.gaps[stop], x):
+            return self._replace(direction=ca.SX.zeros(x.numel())), none, none
+        along = self.direction / ca.jtimes(rates[stop], x, self.direction)
+        if held < 0:
+            return self._replace(direction=along), none, none
+        beside = self.beside / ca.jtimes(rates[held], x, self.beside)
+        free = self.free - ca.jtimes(rates[held], x, self.free) * beside
+        pushed = ca.jtimes(rates[held], x, along)
+        if pushed.is_zero():
+            return self._replace(free=free, direction=along), none, none
+        along = along - pushed * beside
+        room = ca.jtimes(rates[stop], x, along)
+        return self._replace(free=free, direction=along / room), room, pushed
 
     def at_impacts(self, x: ca.SX) -> _Formulas:
         """Return formulas whose impact speed is minus the gap rate of the state."""
@@ -316,27 +354,30 @@ class _Form:
 
 
 def _with_gap_states(
-    f: _Formulas, x: ca.SX, over: Sequence[ca.SX], stop: int, moving: Sequence[bool]
+    f: _Formulas, x: ca.SX, over: Sequence[ca.SX], stops: tuple[int, int], moving: Sequence[bool]
 ) -> _Form:
     """Return formulas with gap and gap rate of every stop as additional states.
 
-    Resets that move a gap set these states anew. A stop whose gap is constant is never struck.
+    Resets that move a gap set these states anew. A stop whose gap is constant is never struck. Gap
+    and gap rate of a held stop, the second of the stops, are zero.
     """
+    stop, held = stops
     n, n_x, still = f.gaps.numel(), x.numel(), ca.SX.zeros(len(over))
     ends = ca.SX.sym("gap", 2 * n)
     rates = ca.jtimes(f.gaps, x, f.free)
-    accelerations = ca.jtimes(rates, x, f.free)
-    direction = ca.SX.zeros(n_x)
-    if ca.depends_on(f.gaps[stop], x):
-        direction = f.direction / ca.jtimes(rates[stop], x, f.direction)
-    pushed = ca.jtimes(rates, x, direction)
+    f, room, pressed = f.holding(x, stop, held)
+    accelerations, speeds = ca.jtimes(rates, x, f.free), ca.SX(ends[1::2])
+    pushed = ca.jtimes(rates, x, f.direction)
     pushed[stop] = 1
+    kept = ca.SX(f.holonomic)
+    if held >= 0:
+        accelerations[held], speeds[held], pushed[held] = 0, 0, 0
+        kept = ca.vertcat(f.gaps[held], rates[held], kept)
 
     def paired(first: ca.SX, second: ca.SX) -> ca.SX:
         return ca.vec(ca.horzcat(first, second).T)
 
-    constraints = ca.vertcat(-accelerations[stop], f.gap, rates[stop], f.holonomic)
-    off_section = ca.vertcat(f.gap, f.holonomic)
+    constraints = ca.vertcat(-accelerations[stop], f.gap, rates[stop], kept)
     own_ends = paired(f.gaps, rates)
     resets = [
         ca.vertcat(reset, _ends_after(own_ends, x, reset, ends) if moves else ends, *over)
@@ -348,17 +389,19 @@ def _with_gap_states(
         ends=range(n_x, n_x + 2 * n),
         acceleration=accelerations[stop],
         parts={
-            "free": ca.vertcat(f.free, paired(ends[1::2], accelerations), still),
-            "direction": ca.vertcat(direction, paired(ca.SX.zeros(n), pushed), still),
+            "free": ca.vertcat(f.free, paired(speeds, accelerations), still),
+            "direction": ca.vertcat(f.direction, paired(ca.SX.zeros(n), pushed), still),
             "restitution": f.restitution,
             "inertia": f.inertia,
             "constraints": constraints,
-            "struck_constraints": off_section,
-            "defined": off_section,
-            "holonomic": ca.SX(f.holonomic),
+            "struck_constraints": ca.vertcat(f.gap, kept),
+            "defined": ca.vertcat(f.gap, f.holonomic),
+            "holonomic": kept,
             "gaps": own_ends,
             "guards": f.guards,
             "armed": f.armed,
+            "room": room,
+            "pushed": pressed,
         },
         resets=resets,
     )
@@ -390,7 +433,7 @@ def _with_gap_coordinate(
     moved[rate] = sign * x[rate]
     resets = [ca.vertcat(reset, *over) for reset in f.resets]
     found = ca.substitute([*f[:-1], *resets], [x], [moved])
-    free, gap, direction, restitution, holonomic, inertia, _, guards, armed, *resets = found
+    free, gap, direction, restitution, holonomic, inertia, _, guards, armed, _, *resets = found
     # No reset of a machine in this form changes the coordinate or its rate.
     for reset in resets:
         reset[g], reset[rate] = x[g], x[rate]
@@ -416,6 +459,8 @@ def _with_gap_coordinate(
             "gaps": ca.vertcat(x[g], x[rate]),
             "guards": guards,
             "armed": armed,
+            "room": ca.SX(0, 1),
+            "pushed": ca.SX(0, 1),
         },
         resets=resets,
     )

@@ -266,6 +266,9 @@ def poly_stepped(system: System, place: RecordPosition, flow: PolyFlow) -> PolyI
     """
     system.require_defined(flow.box)
     image = flow.image
+    if place.mode == "locked":
+        system.require_pressure(flow.box)
+        return image
     end = ranges(image.P) + image.slope @ flow.old.noise
     if place.began == "release" and (system.unit * flow.leaving).low > 0:
         return image

@@ -26,7 +26,6 @@ from zeno_orbits.proof.checker.basin import RECORDS as POLYNOMIAL_RECORDS
 from zeno_orbits.proof.checker.basin import proved_image
 from zeno_orbits.proof.checker.claims import Passage, of_one_orbit, show
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped, require_enclosed
-from zeno_orbits.proof.checker.formulas import CheckedView
 from zeno_orbits.proof.checker.lanes import orders_of, require_rounding
 from zeno_orbits.proof.checker.machine import (
     CertifiedMachine,
@@ -313,7 +312,7 @@ def passage_of(
         require_on_section(system, section, box, first)
         if section.switch >= 0:
             mode = "locked" if section.settled else "free"
-            require_first(system, first.hull, section.switch, mode)
+            require_first(machine, first.hull, section.switch, mode)
     except NotProved as failure:
         raise NotProved(f"section: {failure}") from failure
     _require_return(section, box, last)
@@ -397,6 +396,9 @@ def _stations(
         entries(record, "kind", "set", *kinds[kind], *further)
         place, here = _passed(machine, here, record)
         stations.append(place)
+    for place in stations:
+        # Systems with a held stop are made here, before other processes receive them.
+        _ = [machine.systems[view] for view in (place.meets, *machine.closed(*place.contact))]
     ended = here.mode == "free" and here.switch < 0 and here.view == machine.start
     ended = here == first if section.switch >= 0 else ended
     if not records or records[-1]["kind"] != section.end or not ended:
@@ -408,7 +410,7 @@ def _passed(
     machine: CertifiedMachine, here: RecordPosition, record: Mapping[str, Any]
 ) -> tuple[RecordPosition, RecordPosition]:
     """Return the position of a record, and the position after it."""
-    kind, (stop, sides) = record["kind"], here.view
+    kind, sides = record["kind"], here.view.sides
     if kind == "step":
         return here, here._replace(began="", crossed=-1)
     if kind == "cross":
@@ -417,12 +419,12 @@ def _passed(
         if met[0] == "switch":
             return place, place._replace(began="", crossed=-1)
         if met[0] == "stop":
-            return place, RecordPosition("closed", "", CheckedView(met[1], sides))
-        return place, RecordPosition("free", "release", here.view)
+            return place, RecordPosition("closed", "", place.meets)
+        return place, RecordPosition("free", "release", place.meets)
     if "sides" in record:
         kinks = machine.n_switches - machine.first.n_declared
         sides = read_sides(kinks, record["sides"])
-    view = CheckedView(stop, sides)
+    view = here.view._replace(sides=sides)
     place = here._replace(after=view)
     if kind == "switch":
         _require_other_side(machine, here, sides)
@@ -450,12 +452,13 @@ def _after_switch(
 
     Contact lasts, or opens at once, only if gap and gap rate are zero after the switch. A stop is
     left with a speed, as after an impact, only if its gap is zero. The guard is zero after a kink,
-    and after a reset that keeps the guard.
+    and after a reset that keeps the guard. A held stop stays closed, so the reset moves no gap.
     """
     system, k = machine.systems[here.view], here.switch
     mode, kept = record["mode"], record["kept"]
     declared = k < system.n_declared
     moves, closed = declared and system.moves[k], not declared or system.closed[k]
+    require(here.view.held < 0 or not moves, "a switch moves a gap while another stop is closed")
     modes = {"free"} if here.mode == "free" or not closed else {"locked", "opened"}
     if here.mode == "locked" and moves:
         modes |= {"free", "thrown"} if system.rests[k] else {"free"}
@@ -472,17 +475,18 @@ def _met(
     machine: CertifiedMachine, here: RecordPosition, record: Mapping[str, Any]
 ) -> tuple[str, int]:
     """Return kind and index of the event of a crossing."""
-    own = ("stop" if here.mode == "free" else "release", here.view.stop)
     if not machine.is_graph:
-        return own
+        return "stop" if here.mode == "free" else "release", here.view.stop
     given = record["meets"]
-    sizes = {"switch": machine.n_switches, "stop": machine.n_stops if here.mode == "free" else 0}
+    closed = [view.stop for view in machine.closed(here.view, here.mode)]
+    # A third stop is met by no lemma.
+    stops = [k for k in range(machine.n_stops) if k not in closed and len(closed) < 2]
+    events = {"switch": range(machine.n_switches), "stop": stops, "release": closed}
     known = isinstance(given, list) and len(cast("list[Any]", given)) == 2
     kind, index = cast("list[Any]", given) if known else ("", -1)
-    if (kind, index) == own and type(index) is int:
-        return own
-    if kind not in sizes or type(index) is not int or not 0 <= index < sizes[kind]:
-        raise InputError("The certificate's `meets` must be a stop, a switch or the own release.")
+    known = isinstance(kind, str) and kind in events and type(index) is int
+    if not known or index not in events[kind]:
+        raise InputError("The certificate's `meets` must be a stop, a switch or a release.")
     return kind, index
 
 
@@ -496,7 +500,8 @@ def _told(
     stops, switches = machine.names
     words = list[str]()
     for place, record in zip(stations, records, strict=True):
-        kind, stop = record["kind"], stops[place.view.stop]
+        released = place.met[0] == "release"
+        kind, stop = record["kind"], stops[place.met[1] if released else place.view.stop]
         if kind == "impact":
             words.append(f"impact on {stop}")
         if kind == "tail":
@@ -509,7 +514,7 @@ def _told(
             opens = place.mode == "locked" and record["mode"] != "locked"
             release = f" with release of {stop}" if opens else ""
             words.append(f"switch {switches[place.switch]}{release}")
-        elif place.met[0] == "release" and kind == "cross":
+        elif released and kind == "cross":
             words.append(f"release of {stop}")
     return tuple(words)
 
@@ -661,13 +666,13 @@ def _mapped(
     if record["kind"] == "impact":
         return struck(system, old.hull, old.m)
     if record["kind"] == "tail":
-        return accumulated(system, old.hull, old.m, record)
+        closed = [machine.systems[view] for view in machine.closed(place.view, "free")]
+        return accumulated(system, old.hull, old.m, record, closed)
     if isinstance(step, str):
         raise NotProved(step)
     if record["kind"] == "step":
-        return stepped(system, place, step)
-    met = place.view._replace(stop=place.met[1]) if place.met[0] == "stop" else place.view
-    return crossed(system, machine.systems[met], place, step, record)
+        return stepped(machine, place, step)
+    return crossed(machine, place, step, record)
 
 
 def _flows(

@@ -167,10 +167,14 @@ class Formulas(NamedTuple):
 
 
 class CheckedView(NamedTuple):
-    """A stop of a machine with several stops, switches or kinks, on sides of the kinks."""
+    """A stop of a machine with several stops, switches or kinks, on sides of the kinks.
+
+    Another stop may be held closed, or -1.
+    """
 
     stop: int
     sides: tuple[bool, ...]
+    held: int = -1
 
 
 def _viewed(graph: ModeGraph, view: CheckedView) -> tuple[CompletedSystem, tuple[Any, ...]]:

@@ -251,6 +251,18 @@ def require_kept(graph: Graph, rows: Sequence[int], rates: Sequence[int]) -> Non
         require(known, f"{what} is neither zero nor another constraint")
 
 
+def without_zeros(graph: Graph, row: Row) -> Row:
+    """Return a row of nodes with None for those that are zero for all inputs.
+
+    Args:
+        graph: The nodes are there.
+        row: The nodes.
+    """
+    given = [graph.zero if node is None else node for node in row]
+    found = at_random_point(graph, given, lambda point: point.values(given))
+    return [node if value else None for node, value in zip(row, found, strict=True)]
+
+
 def are_equal(graph: Graph, left: Sequence[int], right: Sequence[int]) -> bool:
     """Return True if two lists of nodes are the same functions of the inputs.
 

@@ -6,7 +6,7 @@ states, and those of the same sides have the same free flow.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 from zeno_orbits.errors import InputError
@@ -28,12 +28,27 @@ ONE_STOP = CheckedView(0, ())
 _MOST_SIDES = 64
 
 
+class _Systems(dict[CheckedView, System]):
+    """Systems that are made when they are needed. Other processes receive those made so far."""
+
+    def __init__(self, make: Callable[[CheckedView], System]) -> None:
+        super().__init__()
+        self._make = make
+
+    def __missing__(self, view: CheckedView) -> System:
+        self[view] = found = self._make(view)
+        return found
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (dict(self),)
+
+
 class CertifiedMachine(NamedTuple):
     """The systems of a certificate.
 
     Attributes:
         start: Stop and sides on the section.
-        systems: The system of each stop on each side of the kinks.
+        systems: The system of each stop on each side of the kinks, and with another stop held.
         n_stops: Number of stops.
         n_switches: Number of switches, declared and of kinks.
         is_graph: True for a machine with several stops, switches or kinks.
@@ -51,6 +66,28 @@ class CertifiedMachine(NamedTuple):
     def first(self) -> System:
         """The system on the section."""
         return self.systems[self.start]
+
+    def closed(self, view: CheckedView, mode: str) -> list[CheckedView]:
+        """Return the view of each closed stop, in which the other closed stop is held."""
+        own, both = view.held, view._replace(stop=view.held, held=-1)
+        if mode != "locked":
+            return [both] if own >= 0 else []
+        return [view, both._replace(held=view.stop)] if own >= 0 else [view]
+
+    def require_pressure(
+        self, view: CheckedView, mode: str, box: Array, released: int = -1
+    ) -> None:
+        """Check that each closed stop is under pressure on a box of states.
+
+        Args:
+            view: Stop and sides.
+            mode: The mode.
+            box: The states.
+            released: A stop that is not checked.
+        """
+        for one in self.closed(view, mode):
+            if one.stop != released:
+                self.systems[one].require_pressure(box)
 
     def is_plastic(self, view: CheckedView) -> bool:
         """Return True if the restitution of a stop is exactly zero, independently of the states."""
@@ -98,13 +135,16 @@ def bound_machine(
         _require_row(row, formulas)
         system = bound_system(formulas, numbers, over, row)
         return CertifiedMachine(ONE_STOP, {ONE_STOP: system}, 1, 0, False, (("stop",), ()))
-    stop, own = entries(data["machine"], "stop", "sides")
+    further = ("held",) if "held" in data["machine"] else ()
+    stop, own, *held = entries(data["machine"], "stop", "sides", *further)
     symbols = problem.symbols()
     graph = problem.model(symbols).graph
     if type(stop) is not int or not 0 <= stop < graph.n_watched:
         raise InputError("The certificate's `machine` must have a stop of the problem.")
     n_kinks, n_stops = len(graph.conditions), graph.n_watched
-    start = CheckedView(stop, read_sides(n_kinks, own))
+    if any(type(k) is not int or not 0 <= k < n_stops or k == stop for k in held):
+        raise InputError("The certificate's `held` must be another stop of the problem.")
+    start = CheckedView(stop, read_sides(n_kinks, own), *held)
     records = [record for part in data["passes"] for record in part["records"]]
     used = {read_sides(n_kinks, record["sides"]) for record in records if "sides" in record}
     used.add(start.sides)
@@ -114,15 +154,22 @@ def bound_machine(
     views = [CheckedView(k, sides) for sides in sorted(used) for k in range(n_stops)]
     formulas = {view: formulas_of_view(graph, symbols, view) for view in views}
     _require_digest(data, problem, joined_digest(one.digest for one in formulas.values()))
-    _require_row(row, formulas[start])
+    _require_row(row, formulas[start._replace(held=-1)])
     _require_ordered({view.sides: formulas[view] for view in views if view.stop == 0})
-    systems = {view: bound_system(formulas[view], numbers, over, row, view) for view in views}
+
+    def made(view: CheckedView) -> System:
+        own, beside = view._replace(held=-1), view._replace(stop=view.held, held=-1)
+        system = bound_system(formulas[own], numbers, over, row, view, formulas.get(beside))
+        _require_free_resets(system)
+        return system
+
+    systems = _Systems(made)
+    for view in [*views, start]:
+        # Each hypothesis is checked, also of a stop that is never met.
+        _ = systems[view]
     n_switches = len(graph.switches) + n_kinks
     names = tuple(one.name for one in watched(graph.stops)), graph.switch_names
-    machine = CertifiedMachine(start, systems, n_stops, n_switches, True, names)
-    for system in systems.values():
-        _require_free_resets(system)
-    return machine
+    return CertifiedMachine(start, systems, n_stops, n_switches, True, names)
 
 
 def _require_digest(data: Mapping[str, Any], problem: Problem, digest: str) -> None:
@@ -183,23 +230,24 @@ def require_reset(system: System, box: Array, switch: int, mode: str) -> None:
         require(rate.low > 0, f"the gap rate after a reset may be {rate.shown()}")
     if switch >= system.n_declared or not system.moves[switch]:
         return
-    for k in system.gap_rows:
+    for k in system.open_rows:
         held = k == system.gap_row and mode != "free"
         require(held or box[k].low > 0, f"a gap may be closed after a reset: {box[k].shown()}")
 
 
-def require_first(system: System, box: Array, switch: int, mode: str) -> None:
+def require_first(machine: CertifiedMachine, box: Array, switch: int, mode: str) -> None:
     """Check that all states of a section are just before its switch, in its mode and on its sides.
 
-    The guard of the switch falls, and it is armed. All gaps are positive, except that of a closed
-    stop, which is under pressure. No other guard is zero, and the kinks are on their sides.
+    The guard of the switch falls, and it is armed. All gaps are positive, except those of closed
+    stops, which are under pressure. No other guard is zero, and the kinks are on their sides.
 
     Args:
-        system: The system of the section.
+        machine: The systems of the certificate.
         box: Box of the states.
         switch: The switch.
         mode: The mode.
     """
+    system = machine.first
     rate = system.value(f"guards_{mode}", box)[switch] * system.signs[switch]
     require(rate.high < 0, f"the guard of the section may not fall: its rate is {rate.shown()}")
     if switch < system.n_declared:
@@ -207,12 +255,10 @@ def require_first(system: System, box: Array, switch: int, mode: str) -> None:
         require(armed.low > 0, f"the switch of the section may not be armed: {armed.shown()}")
     system.require_defined(box)
     held = {system.gap_row} if mode == "locked" else set[int]()
-    for k in {system.gap_row, *system.gap_rows} - held:
+    for k in {system.gap_row, *system.open_rows} - held:
         gap = system.gap(box) if k == system.gap_row else box[k]
         require(gap.low > 0, f"a gap may be closed before the switch: {gap.shown()}")
-    if held:
-        pull = system.value("acceleration", box)[0]
-        require(pull.high < 0, "the stop may not be under pressure before the switch")
+    machine.require_pressure(machine.start, mode, box)
     require_sides(system, box, switch)
 
 
@@ -286,7 +332,7 @@ def require_others_apart(
         besides: Rows of the gaps that are checked otherwise.
     """
     start, box, end = boxes
-    rows = [k for k in system.gap_rows if k not in besides]
+    rows = [k for k in system.open_rows if k not in besides]
     rates = system.rates(mode, box) if rows else box
     for k in rows:
         gap, rate, pull = box[k], box[k + 1], rates[k + 1]

@@ -29,6 +29,7 @@ from zeno_orbits.proof.checker.lanes import (
 )
 from zeno_orbits.proof.checker.machine import (
     ONE_STOP,
+    CertifiedMachine,
     require_known_switches,
     require_others_apart,
     require_sides,
@@ -64,6 +65,22 @@ class RecordPosition(NamedTuple):
     def switch(self) -> int:
         """The switch of a crossing, or -1."""
         return self.met[1] if self.met[0] == "switch" else -1
+
+    @property
+    def contact(self) -> tuple[CheckedView, str]:
+        """Stop and sides, and the mode."""
+        return self.view, self.mode
+
+    @property
+    def meets(self) -> CheckedView:
+        """Stop and sides of the system whose guard is met. Closed stops are held."""
+        view, (kind, stop) = self.view, self.met
+        if kind == "stop":
+            held = view.stop if self.mode == "locked" else view.held
+            return view._replace(stop=stop, held=held)
+        if kind == "release" and self.mode == "locked":
+            return view if stop == view.stop else view._replace(stop=stop, held=view.stop)
+        return view._replace(stop=stop, held=-1) if kind == "release" else view
 
 
 class Flow:
@@ -219,35 +236,37 @@ def _require_events(system: System, place: RecordPosition, flow: Flow, end: Arra
     require_known_switches(system, place.mode, boxes, crossed=place.crossed, met=place.switch)
 
 
-def stepped(system: System, place: RecordPosition, flow: Flow) -> Mapped:
+def stepped(machine: CertifiedMachine, place: RecordPosition, flow: Flow) -> Mapped:
     """Prove one whole step in one mode.
 
     Args:
-        system: The system of the certificate.
+        machine: The systems of the certificate.
         place: Position of the record in the motion.
         flow: The step.
     """
-    point, slope, box = flow.at(flow.h)
+    system, (point, slope, box) = machine.systems[place.view], flow.at(flow.h)
     _require_events(system, place, flow, box)
-    is_open = system.gap(box).low > 0
-    require_apart(system, place, flow.old.hull, flow.box, is_open=is_open)
+    machine.require_pressure(place.view, place.mode, flow.box)
+    if place.mode == "free":
+        is_open = system.gap(box).low > 0
+        require_apart(system, place, flow.old.hull, flow.box, is_open=is_open)
     return Mapped(point, slope, flow.h, system.nothing)
 
 
 def crossed(
-    system: System, met: System, place: RecordPosition, flow: Flow, record: Mapping[str, Any]
+    machine: CertifiedMachine, place: RecordPosition, flow: Flow, record: Mapping[str, Any]
 ) -> Mapped:
     """Prove the crossing of the guard in a last step: the gap closes, or ``-a`` vanishes.
 
     With ``g`` the guard, the derivative is ``(1 - f grad g / (grad g . f)) D phi``.
 
     Args:
-        system: The system of the mode.
-        met: The system of the stop that is met, or the same system.
+        machine: The systems of the certificate.
         place: Position of the record in the motion.
         flow: The step.
         record: Its entries.
     """
+    system, met = machine.systems[place.view], machine.systems[place.meets]
     bits, strikes = system.bits, place.met[0] == "stop"
     end = flow.at(flow.h)[2]
     _require_events(system, place, flow, end)
@@ -259,7 +278,7 @@ def crossed(
         if (value * sign).low <= 0:
             raise NotProved(f"the guard may vanish outside its window: {value.shown()}")
     _, slope, box = flow.at(between(a.low, b.high, bits))
-    _require_contact(system, met, place, flow, end, is_open=met.gap(flow.at(a)[2]).low > 0)
+    _require_contact(machine, place, flow, end, is_open=met.gap(flow.at(a)[2]).low > 0)
     if strikes:
         gradient, rate = met.identity[met.gap_row] * met.unit, met.gap_rate(box)
     elif place.switch >= 0:
@@ -267,8 +286,8 @@ def crossed(
         gradient = system.gradient("guards", box)[k] * sign
         rate = system.value(f"guards_{place.mode}", box)[k] * sign
     else:
-        gradient = -system.gradient("acceleration", box)[0]
-        rate, falling = (-system.value("locked_jerk", where)[0] for where in (box, flow.box))
+        gradient = -met.gradient("acceleration", box)[0]
+        rate, falling = (-met.value("locked_jerk", where)[0] for where in (box, flow.box))
         require(falling.high < 0, f"the multiplier's rate may be {falling.shown()}")
     require(rate.high < 0, f"the guard's rate may be {rate.shown()}")
     delay = -(gradient @ slope) / rate
@@ -281,25 +300,27 @@ def crossed(
 
 
 def _require_contact(
-    system: System, met: System, place: RecordPosition, flow: Flow, end: Array, *, is_open: bool
+    machine: CertifiedMachine, place: RecordPosition, flow: Flow, end: Array, *, is_open: bool
 ) -> None:
-    """Check the gaps of the own stop and of the stop that is met, or the contact force.
+    """Check the gaps of the own stop and of the stop that is met, and the contact forces.
 
     The force before a release follows from its rate.
 
     Args:
-        system: The system of the mode.
-        met: The system of the stop that is met, or the same system.
+        machine: The systems of the certificate.
         place: Position of the record in the motion.
         flow: The step.
         end: Box of the states at its end.
         is_open: True if the gap that closes is positive just before the crossing.
     """
-    start, strikes = flow.old.hull, place.met[0] == "stop"
-    if strikes:
+    start, (kind, index) = flow.old.hull, place.met
+    system, met = machine.systems[place.view], machine.systems[place.meets]
+    released = index if kind == "release" else -1
+    machine.require_pressure(place.view, place.mode, flow.box, released)
+    if kind == "stop":
         began = place if met is system else place._replace(began="")
         require_apart(met, began, start, flow.box, is_open=is_open, last=True)
-    if place.switch >= 0 or (strikes and met is not system):
+    if place.mode == "free" and (met is not system or kind == "switch"):
         require_apart(system, place, start, flow.box, is_open=system.gap(end).low > 0)
 
 
@@ -325,7 +346,7 @@ def require_apart(
     is_open: bool,
     last: bool = False,
 ) -> None:
-    """Check that the gap (in flight) or the contact force (in contact) stays positive.
+    """Check that the gap stays positive.
 
     Args:
         system: The system of the certificate.
@@ -335,11 +356,6 @@ def require_apart(
         is_open: True if the gap is positive at the end of the step, or just before a crossing.
         last: True for a step with a crossing.
     """
-    if place.mode == "locked":
-        pull = system.value("acceleration", box)[0]
-        if pull.high >= 0:
-            raise NotProved(f"the multiplier may be {(-pull).shown()} times the normal inertia")
-        return
     gap, rate = system.gap(box), system.gap_rate(box)
     thrown = place.began == "impact" and system.gap_rate(start).low > 0
     open_first = thrown or system.gap(start).low > 0
@@ -373,6 +389,7 @@ def struck(system: System, box: Array, m: Array) -> Mapped:
     moved, change = box.copy(), system.settling
     moved[change] = box[change] - along * fall
     system.require_defined(moved)
+    system.require_reaction(box)
     drop = system.gradient("direction", box) * rate + np.outer(along, rate_slope)
     point, slope = m.copy(), system.identity
     speed = (at_point + 1) * system.gap_rate(m)
@@ -411,7 +428,13 @@ def _replaced(box: Array, values: Mapping[int, Ball]) -> Array:
     return found
 
 
-def accumulated(system: System, box: Array, m: Array, record: Mapping[str, Any]) -> Mapped:
+def accumulated(
+    system: System,
+    box: Array,
+    m: Array,
+    record: Mapping[str, Any],
+    closed: Sequence[System] = (),
+) -> Mapped:
     """Return the Zeno point of all remaining impacts, by the lemma of the Zeno tail.
 
     All bounds are upper ends of intervals of mpmath, over the complex polydisc of the record. The
@@ -422,6 +445,7 @@ def accumulated(system: System, box: Array, m: Array, record: Mapping[str, Any])
         box: Box of the states before it.
         m: A state in the box.
         record: Its entries.
+        closed: The system of the other stop that is closed, if there is one.
     """
     bits, settling, inner = system.bits, system.settling, system.inner
     n = len(settling)
@@ -433,9 +457,12 @@ def accumulated(system: System, box: Array, m: Array, record: Mapping[str, Any])
     wide = zip(inner, radius, strict=True)
     around = _replaced(box, {k: box[k] + around_zero(r) for k, r in wide})
     system.require_inertia(around)
+    for one in closed:
+        one.require_pressure(around)
     system.require_law(around)
+    system.require_reaction(around)
     require_sides(system, around)
-    for k in system.gap_rows:
+    for k in system.open_rows:
         require(k == system.gap_row or around[k].low > 0, "another gap may close in the tail")
     nodes = [node for k in ("free", "direction", "law", "acceleration") for node in system.nodes[k]]
     complex_values(system.graph, discs, [*system.nodes["gap"], *system.nodes["constraints"]])

@@ -88,6 +88,8 @@ class ContactSection(NamedTuple):
         equations = [(_CONDITIONS[x], 0) for x in conditions if x not in {*pinned, "guard"}]
         equations += [("guards", k)] if "guard" in conditions else []
         equations += [("constraints", k) for k in range(len(system.nodes["constraints"]))]
+        first = system.held_row - system.n_x
+        equations += [("stops", k) for k in (first, first + 1) if system.held_row >= 0]
         known = len(set(conditions)) == len(conditions) and set(conditions) in _KINDS
         known = known and ("guard" in conditions) == bool(switch)
         known = known and (not switch or (type(k) is int and 0 <= k < len(system.signs)))
@@ -280,6 +282,7 @@ def require_on_section(system: System, section: ContactSection, box: Box, start:
     point = state(box.centre, narrowed(still)[0])
     kept = {system.rate_row} if section.settled else set[int]()
     kept |= set[int]() if section.in_flight else {system.gap_row}
+    kept |= {system.held_row, system.held_row + 1} if system.held_row >= 0 else set[int]()
     computed = [k for k in range(system.n_x, len(system.z) - len(system.varied)) if k not in kept]
     values, slopes = system.value("stops", point), system.gradient("stops", everywhere)
     for k in computed:

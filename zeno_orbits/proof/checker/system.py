@@ -32,7 +32,12 @@ from zeno_orbits.proof.checker.formulas import (
     require_analytic,
     walked,
 )
-from zeno_orbits.proof.checker.identities import are_equal, require_impacts, require_kept
+from zeno_orbits.proof.checker.identities import (
+    are_equal,
+    require_impacts,
+    require_kept,
+    without_zeros,
+)
 from zeno_orbits.proof.checker.series import values
 
 
@@ -47,7 +52,8 @@ class System:
         slopes: Mode to derivatives of the rates with respect to the states, ``(N, N)``.
         nodes: Nodes of `free` flow, `gap`, `gap_rate`, `acceleration` and its rates on and off the
             stop (`locked_jerk` and `jerk`), `direction`, `law`, `constraints`, and the `inertia`,
-            the mass matrix by columns.
+            the mass matrix by columns. With a held stop, `pushed` is the change of its gap rate per
+            unit of the own one if it were not held, and `room` the determinant of both stops.
         tangents: Derivatives of nodes with respect to the states, one row per node.
         gap_row: Index of the state that determines the gap.
         rate_row: Index of the state that determines the gap rate.
@@ -66,6 +72,7 @@ class System:
         closed: True for each reset after which the own gap and gap rate are zero if they were zero
             before it.
         rests: True for each reset after which the own gap is zero if it was zero before it.
+        held_row: Index of the gap of the stop that is held closed, or -1.
     """
 
     graph: Graph
@@ -79,6 +86,7 @@ class System:
     kept: list[bool]
     closed: list[bool]
     rests: list[bool]
+    held_row: int
     z: list[int]
     constants: dict[int, Ball]
     flow: dict[str, Row]
@@ -123,6 +131,11 @@ class System:
         return range(self.n_x, len(self.z) - len(self.varied), 2)
 
     @property
+    def open_rows(self) -> list[int]:
+        """Indices of the gaps that are additional states, without that of a held stop."""
+        return [k for k in self.gap_rows if k != self.held_row]
+
+    @property
     def nothing(self) -> Array:
         """A row of zeros, ``(N,)``."""
         return exactly(np.zeros(len(self.z), dtype=int), self.bits)
@@ -158,8 +171,11 @@ class System:
     def require_inertia(self, box: Array) -> None:
         """Check that the mass matrix is positive definite on a box of states.
 
-        All pivots of its symmetric part are positive (Sylvester's criterion).
+        All pivots of its symmetric part are positive (Sylvester's criterion). If a stop is held,
+        the determinant of the two stops, each response in units of its own, is positive.
         """
+        for both in self.value("room", box):
+            require(both.low > 0, f"the responses of two stops may be dependent: {both.shown()}")
         entries = self.value("inertia", box)
         n = isqrt(len(entries))
         rows = entries.reshape(n, n)
@@ -169,6 +185,17 @@ class System:
             require(pivot.low > 0, f"the mass matrix may not be positive definite: {pivot.shown()}")
             for i in range(k + 1, n):
                 rows[i] = rows[i] - rows[k] * (rows[i, k] / pivot)
+
+    def require_reaction(self, box: Array) -> None:
+        """Check that an impact presses the held stop, or leaves its gap rate unchanged."""
+        for pushed in self.value("pushed", box):
+            require(pushed.high < 0, f"an impact may open the other stop: {pushed.shown()}")
+
+    def require_pressure(self, box: Array) -> None:
+        """Check that the own stop is under pressure on a box of states of its contact."""
+        pull = self.value("acceleration", box)[0]
+        told = f"the multiplier may be {(-pull).shown()} times the normal inertia"
+        require(pull.high < 0, told)
 
     def rates(self, mode: str, z: Array) -> Array:
         """Return the rates of the states over a box of states."""
@@ -189,8 +216,13 @@ def bound_system(
     over: Sequence[str],
     row: int | None,
     view: CheckedView | None = None,
+    beside: Formulas | None = None,
 ) -> System:
     """Return the nodes of a problem at given parameter values.
+
+    If a stop ``i`` is held closed, the free flow is the locked flow of ``i``, and the direction is
+    ``D - p D_i``, normalised, where ``p`` is the change of the gap rate of ``i`` along ``D``. So an
+    impact changes the gap rate of ``i`` no more.
 
     Args:
         formulas: Formulas of the problem.
@@ -199,6 +231,7 @@ def bound_system(
         row: Index of the only coordinate in the gap, or ``None`` if gap and gap rate are additional
             states.
         view: The stop and the sides of a machine with several stops, switches or kinks.
+        beside: Formulas of the stop that is held, if there is one.
 
     Raises:
         InputError: If the lemmas do not apply to the problem.
@@ -215,24 +248,41 @@ def bound_system(
         found = graph.tangents([node], dict(zip(x, ([k] for k in field), strict=True)))[0][0]
         return graph.zero if found is None else found
 
+    def normalised(along: Row, rate: int) -> Row:
+        along = [None if node == graph.zero else node for node in along]
+        response = derivative(rate, along)
+        # Most directions are already normalised. A division would then only widen the intervals.
+        if are_equal(graph, [response], [graph.one]):
+            return along
+        return [None if node is None else graph.put("div", node, response) for node in along]
+
     nothing: Row = [None if node == graph.zero else node for node in free]
     rate = derivative(gap, nothing)
+    D, held, room, reaction = normalised(along, rate), -1, list[int](), list[int]()
+    if view is not None and beside is not None:
+        held = view.held
+        at_held = derivative(gaps[held], nothing)
+        along_held = _given(beside, graph, x, list(p.values()), held)
+        require(are_equal(graph, free, along_held.free), "two stops have different free flows")
+        other = normalised(along_held.along, at_held)
+        pushed_back = graph.put("neg", derivative(at_held, nothing))
+        # States that the held stop keeps at rest would otherwise have wide rates.
+        nothing = without_zeros(graph, _combined(graph, nothing, pushed_back, other))
+        turn = derivative(at_held, D)
+        if not are_equal(graph, [turn], [graph.zero]):
+            D = without_zeros(graph, _combined(graph, D, graph.put("neg", turn), other))
+            room, reaction = [derivative(rate, D)], [turn]
+            D = normalised(D, rate)
     acceleration = derivative(rate, nothing)
-    along = [None if node == graph.zero else node for node in along]
-    response = derivative(rate, along)
-    # Most directions are already normalised. A division would then only widen the intervals.
-    if not are_equal(graph, [response], [graph.one]):
-        along = [None if node is None else graph.put("div", node, response) for node in along]
-    D = along
     if view is not None:
-        _require_positions(graph, x, n_q, free, D, gaps)
+        _require_positions(graph, x, n_q, nothing, D, gaps)
     force = graph.put("neg", acceleration)
     # If coordinates determine gap and gap rate, the locked flow keeps them constant.
     pinned = () if row is None else (row, n_q + row)
-    locked = [
-        None if k in pinned else graph.total(f, graph.product(force, D[k]))
-        for k, f in enumerate(free)
-    ]
+    locked = _combined(graph, nothing, force, D)
+    locked = [None if k in pinned else node for k, node in enumerate(locked)]
+    if held >= 0:
+        locked = without_zeros(graph, locked)
     law = _law_at(formulas, graph, list(p.values()), law, graph.put("neg", rate))
     _require_newton(formulas, graph, x, list(p.values()))
     rates = [derivative(node, nothing) for node in rows]
@@ -246,7 +296,7 @@ def bound_system(
     require_analytic(graph, masses)
     carried = [graph.put("input") for _ in range(2 * len(gaps) if row is None else 0)]
     lifted = [derivative(node, nothing) for node in gap_rates]
-    flying, held, struck = _at_stops(graph, carried, stop, force, lifted, pushed)
+    flying, locking, struck = _at_stops(graph, carried, (stop, held), force, lifted, pushed)
     own = (n_x + 2 * stop, n_x + 2 * stop + 1) if carried else ()
     settling = [k for k in range(n_x + len(carried)) if k not in own]
     ends = [node for pair in zip(gaps, gap_rates, strict=True) for node in pair]
@@ -264,6 +314,8 @@ def bound_system(
         "locked_jerk": [derivative(acceleration, locked)],
         "direction": [[*D, *struck][k] for k in settling],
         "law": [law],
+        "room": [*room],
+        "pushed": [*reaction],
         "constraints": [*rows],
         "stops": [*ends],
         "guards": [*guards],
@@ -277,7 +329,7 @@ def bound_system(
     rest: Row = [None] * (len(z) - n_x)
     flow: dict[str, Row] = {
         "free": [*nothing, *flying, *rest][: len(z)],
-        "locked": [*locked, *held, *rest][: len(z)],
+        "locked": [*locked, *locking, *rest][: len(z)],
     }
     tangents = _tangents(graph, z, [*flow.values(), *nodes.values()])
     nodes["inertia"] = [*masses]
@@ -308,7 +360,14 @@ def bound_system(
         kept=[one.keeps_guard for one in changes],
         closed=[not one.moves or all(one.stays[2 * stop : 2 * stop + 2]) for one in changes],
         rests=[not one.moves or one.stays[2 * stop] for one in changes],
+        held_row=-1 if held < 0 else n_x + 2 * held,
     )
+
+
+def _combined(graph: Graph, row: Row, factor: int, other: Row) -> Row:
+    """Return a row plus a multiple of another row."""
+    pairs = zip(row, other, strict=True)
+    return [graph.total(a, graph.product(factor, b)) for a, b in pairs]
 
 
 def _is_constant(graph: Graph, x: Sequence[int], node: int) -> bool:
@@ -400,7 +459,7 @@ def _given(
 def _at_stops(
     graph: Graph,
     carried: Sequence[int],
-    stop: int,
+    closed: Sequence[int],
     force: int,
     lifted: Sequence[int],
     pushed: Sequence[int],
@@ -410,18 +469,18 @@ def _at_stops(
     Args:
         graph: The nodes are there.
         carried: Inputs of gap and gap rate of each stop.
-        stop: The stop of the system.
-        force: Minus its gap acceleration.
+        closed: The stop of the system, and the stop that is held or -1.
+        force: Minus the gap acceleration of the first.
         lifted: Acceleration of each gap in flight.
         pushed: Change of each gap rate per unit change of the own gap rate.
     """
     flying, held, struck = list[int | None](), list[int | None](), list[int | None]()
     for k in range(len(carried) // 2):
-        rate, away = carried[2 * k + 1], k != stop
+        rate, away, is_held = carried[2 * k + 1], k not in closed, k == closed[1]
         pull = graph.total(lifted[k], graph.product(force, pushed[k]))
-        flying += [rate, lifted[k]]
+        flying += [None, None] if is_held else [rate, lifted[k]]
         held += [rate, pull] if away else [None, None]
-        struck += [None, pushed[k]]
+        struck += [None, None if is_held else pushed[k]]
     return flying, held, struck
 
 

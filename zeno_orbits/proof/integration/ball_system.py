@@ -95,6 +95,7 @@ class BallSystem:
         gap_offset: Gap at the zero of its coordinate.
         units: Units of the states, powers of two, ``(n,)``.
         period: Time scale of the motion, for the sizes of steps [s].
+        held_rows: Indices of gap and gap rate of the stop that is held closed, or empty.
         free: Flow off the stop.
         locked: Flow on the stop. Its guard is minus the gap acceleration of the free flow.
     """
@@ -157,7 +158,10 @@ class BallSystem:
         self._impact = self._program(e.direction, self._slopes)
         self._tail = self._program(e.free, e.direction, e.restitution)
         self._defined = self._program(e.defined)
-        self._inertia = self._program(e.inertia)
+        self._inertia = self._program(e.inertia, e.room)
+        self._pushed = self._program(e.pushed)
+        held = -1 if view is None else view.held
+        self.held_rows = () if held < 0 else (n_x + 2 * held, n_x + 2 * held + 1)
         equations = _equations(e, section)
         gradient = ca.jacobian(equations, e.states)
         self.constraints = self._program(equations, gradient)
@@ -179,12 +183,16 @@ class BallSystem:
         """
         slow = rate is None or not bool(abs(rate) > _FAST)
         still = (self.gap, self.rate) if slow else (self.gap,)
+        # Those of a held stop are no moving rows.
         return [k for k in self.moving_rows if k not in still]
 
     @property
     def moving_rows(self) -> list[int]:
-        """Return the rows of a set in flight that share a frame: all except carried parameters."""
-        return list(range(self.n - len(self.carried)))
+        """Return the rows of a set in flight that share a frame.
+
+        These are all except carried parameters, and gap and gap rate of a held stop.
+        """
+        return [k for k in range(self.n - len(self.carried)) if k not in self.held_rows]
 
     def impact(self, y: Sequence[Ball]) -> ImpactValues:
         """Return the impulse direction and the restitution at a state, and their derivatives.
@@ -219,8 +227,8 @@ class BallSystem:
     def stopped(self) -> tuple[int, ...]:
         """Indices of the states that are zero on the section."""
         if self.section.kind is SectionKind.SWITCH and not self.section.locked:
-            return ()
-        return (self.gap,) if self.struck else (self.gap, self.rate)
+            return self.held_rows
+        return ((self.gap,) if self.struck else (self.gap, self.rate)) + self.held_rows
 
     @property
     def struck(self) -> bool:
@@ -275,8 +283,13 @@ class BallSystem:
         return "the gap or a constraint is not proved to be analytic along the motion"
 
     def light(self, y: Sequence[Ball]) -> str:
-        """Return why the mass matrix is not proved to be positive definite on a box of states."""
-        entries = self._inertia(y)[0]
+        """Return why the mass matrix is not proved to be positive definite on a box of states.
+
+        The responses of the own and a held stop must be independent.
+        """
+        entries, room = self._inertia(y)
+        if not all(bool(one > 0) for one in room):
+            return "the responses of two closed stops are not proved to be independent"
         n = math.isqrt(len(entries))
         rows = [[entries[n * j + i] + entries[n * i + j] for j in range(n)] for i in range(n)]
         for k, row in enumerate(rows):
@@ -286,6 +299,11 @@ class BallSystem:
                 share = other[k] / row[k]
                 other[:] = [a - share * b for a, b in zip(other, row, strict=True)]
         return ""
+
+    def opening(self, y: Sequence[Ball]) -> str:
+        """Return why an impact is not proved to press the held stop on a box of states."""
+        pressed = all(bool(one < 0) for one in self._pushed(y)[0])
+        return "" if pressed else "an impact is not proved to press the other closed stop"
 
     def free_values(self, y: Sequence[Ball]) -> tuple[list[Ball], list[Ball], Ball]:
         """Return free flow, impulse direction and restitution at a state, real or complex."""

@@ -86,14 +86,14 @@ class Meeting(NamedTuple):
 
 
 def _guard(system: BallSystem, departure: Departure, met: Meeting) -> _Guard:
-    flow = system.locked if departure is Departure.LOCKED else system.free
     if met.kind == "switch":
+        flow = system.locked if departure is Departure.LOCKED else system.free
         k = met.number
         return _Guard(
             value=lambda y: system.guards(y)[k][0],
             terms=lambda y: (system.guards(y)[k][1], flow.rate(y)),
         )
-    if departure is Departure.LOCKED:
+    if met.kind == "release":
         locked = system.locked
         return _Guard(value=lambda y: locked.guard(y)[0], terms=lambda y: locked.guard(y)[1:])
     gradient = [ZERO] * system.n
@@ -127,6 +127,7 @@ def cross(
     claim = {"stop": "impact"}.get(met.kind, met.kind)
     guard, locked = _guard(system, stage.departure, met), stage.departure is Departure.LOCKED
     strikes = met.kind == "stop"
+    on_stop = locked and not strikes
 
     def spread(time: Ball) -> list[Ball]:
         return product(step.derivative(time), stage.at.deviation)
@@ -159,7 +160,7 @@ def cross(
     if strikes:
         image[system.gap] = ZERO
         derivative = _without_rows(derivative, (system.gap,))
-    rows = system.turning_rows(None if locked else image[system.rate])
+    rows = system.turning_rows(None if on_stop or met.kind == "release" else image[system.rate])
     if met.kind == "switch" and not locked:
         rows = system.moving_rows
     result = stage.at.mapped(image, derivative, rows, stage.metric)
@@ -174,10 +175,9 @@ def cross(
 
 def _departure_after(met: Meeting, before: Departure) -> Departure:
     """Return how motions leave an event: a switch keeps a stop closed."""
-    locked = before is Departure.LOCKED
     if met.kind == "switch":
-        return before if locked else Departure.FLYING
-    return Departure.RELEASED if locked else Departure.STRUCK
+        return before if before is Departure.LOCKED else Departure.FLYING
+    return Departure.RELEASED if met.kind == "release" else Departure.STRUCK
 
 
 def switch_guess(
@@ -319,20 +319,20 @@ def _without_rows(m: Matrix, rows: Sequence[int]) -> Matrix:
 
 
 def meeting_guess(
-    system: BallSystem, stage: ProofStage, points: list[Series], within: float
+    system: BallSystem, departure: Departure, points: list[Series], within: float
 ) -> float | None:
     """Return an approximate time at which the middle of a set meets its guard, or None.
 
     Args:
         system: The problem.
-        stage: The set and its mode.
+        departure: Mode, and position relative to the stop.
         points: Taylor coefficients of the middle of the set.
         within: Length of the search interval [s].
     """
-    if stage.departure is Departure.LOCKED:
+    if departure is Departure.LOCKED:
         return _release_guess(system, points, within)
     coefficients = [float(c.mid()) for c in points[system.gap]]
-    return _first_root(coefficients[_LEADING_ZEROS[stage.departure] :], within)
+    return _first_root(coefficients[_LEADING_ZEROS[departure] :], within)
 
 
 def _release_guess(system: BallSystem, points: list[Series], within: float) -> float | None:
@@ -411,19 +411,22 @@ def strike(system: BallSystem, stage: ProofStage) -> tuple[ProofRecord, ProofSta
     result = at.mapped(system.reset(at.m), derivative, rows, stage.metric)
     # An impact moves the state along a straight line.
     moved = [a.union(b) for a, b in zip(box, system.reset(box), strict=True)]
-    reason = system.undefined(moved) or system.light(moved)
+    reason = system.undefined(moved) or system.light(moved) or system.opening(box)
     require_proved(not reason, "impact", reason)
     record = ProofRecord(kind="impact", numbers={}, orders=(), result=result)
     after = Departure.LOCKED if system.plastic else Departure.STRUCK
     return record, stage.next(result, after, stage.time)
 
 
-def settle_impacts(system: BallSystem, stage: ProofStage) -> tuple[ProofRecord, ProofStage]:
+def settle_impacts(
+    system: BallSystem, stage: ProofStage, closed: Sequence[BallSystem] = ()
+) -> tuple[ProofRecord, ProofStage]:
     """Enclose a Zeno tail and return its record and the set of Zeno points.
 
     Args:
         system: The problem.
         stage: The set just after an impact.
+        closed: The system of the other stop that is closed, if there is one.
 
     Raises:
         ProofError: If the accumulation of impacts is not proved.
@@ -432,7 +435,7 @@ def settle_impacts(system: BallSystem, stage: ProofStage) -> tuple[ProofRecord, 
     at, box = stage.at, stage.at.box
     reason = f"the gap rate after an impact is not proved positive ({box[rate]})"
     require_proved(is_clear(box[rate]), "zeno_point", reason)
-    found = polydisc(system, box)
+    found = polydisc(system, box, closed)
     c, speed, speed_now = found.c, found.speed, box[rate].abs_upper()
     left, off = 1 - found.rho, speed - speed_now
     image = list(at.m)
@@ -478,12 +481,15 @@ class Polydisc:
     delta: list[Ball]
 
 
-def polydisc(system: BallSystem, box: Sequence[Ball]) -> Polydisc:
+def polydisc(
+    system: BallSystem, box: Sequence[Ball], closed: Sequence[BallSystem] = ()
+) -> Polydisc:
     """Return a polydisc around states just after an impact.
 
     Args:
         system: The problem.
         box: The states, ``(n,)``.
+        closed: The system of the other stop that is closed, if there is one.
 
     Raises:
         ProofError: If the accumulation of impacts is not proved.
@@ -493,13 +499,15 @@ def polydisc(system: BallSystem, box: Sequence[Ball]) -> Polydisc:
     wide = sorted(share for share in _RADII if share >= wanted)
     for share in (*wide, *(one for one in _RADII if one < wanted)):
         try:
-            return _polydisc(system, box, share)
+            return _polydisc(system, box, share, closed)
         except ProofError as error:
             reason = error.reason
     raise ProofError("zeno_point", reason)
 
 
-def _polydisc(system: BallSystem, box: Sequence[Ball], share: float) -> Polydisc:
+def _polydisc(
+    system: BallSystem, box: Sequence[Ball], share: float, closed: Sequence[BallSystem]
+) -> Polydisc:
     gap, rate = system.gap, system.rate
     speed_now = box[rate].abs_upper()
     radius = [arb(share) * (1 + x.abs_upper()) for x in box]
@@ -520,10 +528,12 @@ def _polydisc(system: BallSystem, box: Sequence[Ball], share: float) -> Polydisc
     faster = bool(speed - speed_now > 0)
     require_proved(faster, "zeno_point", "the gap rate exceeds that of the polydisc")
     real = [x + arb(0, r) for x, r in zip(box, radius, strict=True)]
-    reason = system.light(real)
+    reason = system.light(real) or system.opening(real)
     require_proved(not reason, "zeno_point", reason)
+    pressed = all(bool(one.locked.guard(real)[0] > 0) for one in closed)
+    require_proved(pressed, "zeno_point", "another closed stop is not proved to press in the tail")
     for other in range(system.n_x, system.n_x + len(system.carried_stops), 2):
-        apart = other == gap or bool(real[other] > 0)
+        apart = other == gap or other in system.held_rows or bool(real[other] > 0)
         require_proved(apart, "zeno_point", "another gap is not proved positive in the tail")
     kept = all(bool(value != 0) for value, _ in system.guards(real)[: system.n_declared])
     kept = kept and all(bool(value > 0) for value, _ in system.guards(real)[system.n_declared :])

@@ -52,7 +52,7 @@ class BallMachine:
         """
         self._given = problem, values, over, period
         self.section, self.is_graph = section, is_graph
-        self._views: dict[tuple[int, tuple[bool, ...]], BallSystem] = {}
+        self._views: dict[tuple[int, tuple[bool, ...], int], BallSystem] = {}
         self.stop_names: tuple[str, ...] = ("stop",)
         self.switch_names: tuple[str, ...] = ()
         self.n_declared = 0
@@ -73,17 +73,12 @@ class BallMachine:
             self.switch_names = graph.switch_names
             self.n_declared = len(graph.switches)
 
-    @property
-    def used(self) -> list[MachineView]:
-        """The stops and sides of all systems that were made, in a fixed order."""
-        return [MachineView(stop=stop, sides=sides) for stop, sides in sorted(self._views)]
-
-    def view(self, stop: int, sides: tuple[bool, ...]) -> BallSystem:
-        """Return the system of a stop on given sides of the kinks."""
-        key = (stop, sides)
+    def view(self, stop: int, sides: tuple[bool, ...], held: int = -1) -> BallSystem:
+        """Return the system of a stop on given sides of the kinks, while another stop is held."""
+        key = (stop, sides, held)
         if key not in self._views:
             problem, values, over, period = self._given
-            view = MachineView(stop=stop, sides=sides) if self.is_graph else None
+            view = MachineView(stop=stop, sides=sides, held=held) if self.is_graph else None
             self._views[key] = BallSystem(
                 problem, values, over, period, section=self.section, view=view
             )

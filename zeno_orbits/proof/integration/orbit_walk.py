@@ -10,7 +10,7 @@ import numpy as np
 from flint import arb
 
 from zeno_orbits.errors import ProofError
-from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem, watched
 from zeno_orbits.orbits import Orbit, other_equations
 from zeno_orbits.proof.arithmetic.balls import ZERO, Ball
 from zeno_orbits.proof.arithmetic.expressions import stop_identities
@@ -94,7 +94,6 @@ def proof_start(orbit: Orbit) -> ProofStart:
         count = orbit.shape.n_phases if struck else orbit.shape.n_releases
         kind = SectionKind.IMPACT if struck else SectionKind.RELEASE
         return ProofStart(orbit=orbit, kind=kind, event="stop", count=count)
-    _require_one_contact(orbit)
     names = [event.name for event in orbit.events]
     free = [
         k
@@ -121,25 +120,6 @@ def proof_start(orbit: Orbit) -> ProofStart:
         turned = replace(turned, start_state=orbit.events[free[-1]].state)
     event = last.partition(" ")[2]
     return ProofStart(orbit=turned, kind=kind, event=event, count=names.count(last))
-
-
-def _require_one_contact(orbit: Orbit) -> None:
-    """Raise an error for an orbit on which a stop is struck while another one is closed."""
-    closed = set[str]()
-    # The second turn starts with the stops that are closed at the end of the period.
-    for event in (*orbit.events, *orbit.events):
-        name = event.name.partition(" ")[2]
-        if event.word == "switch":
-            # A switch may open a stop without a further event.
-            closed.clear()
-        elif event.word == "release":
-            closed.discard(name)
-        else:
-            other = min(closed - {name}, default="")
-            reason = f"stop `{name}` is struck while stop `{other}` is closed"
-            require_proved(not other, "shape", f"{reason}, and one stop at a time is proved")
-            if event.word == "zeno":
-                closed.add(name)
 
 
 def _is_caused(orbit: Orbit, k: int) -> bool:
@@ -175,45 +155,50 @@ def ball_machine(
         ProofError: If the machine or the start has a property that is not proved.
     """
     is_graph = not start.orbit.has_phases
-    section, stop = PeriodStart(start.kind), 0
+    section, closed, stop = PeriodStart(start.kind), list[int](), 0
+    if is_graph:
+        closed = _closed_at_start(start, problem, values)
     if start.kind is SectionKind.SWITCH:
-        section, stop = _before_switch(start, problem, values)
+        section, stop = _before_switch(start, problem, closed)
     period = start.orbit.period
     machine = BallMachine(problem, values, over, period, section=section, is_graph=is_graph)
     if start.kind is not SectionKind.SWITCH:
         stop = machine.stop_names.index(start.event)
+    others = [k for k in closed if k != stop]
+    require_proved(len(others) < 2, "shape", "three stops meet at the start of the period")
+    held = others[0] if others else -1
     sides = (True,) * (len(machine.switch_names) - machine.n_declared)
     if sides:
-        system = machine.view(stop, sides)
+        system = machine.view(stop, sides, held)
         y = [arb(value) for value in prover_state(system, problem, start.orbit)]
         sides = _sides_before(machine, stop, sides, y)
-    return machine, machine.view(stop, sides)
+    return machine, machine.view(stop, sides, held)
 
 
-def _before_switch(
-    start: ProofStart, problem: Problem, values: ParameterValues
-) -> tuple[PeriodStart, int]:
-    """Return the section of the states just before a switch, and the stop that was met last.
-
-    Raises:
-        ProofError: If several stops are closed there.
-    """
-    graph, orbit = problem.graph_dynamics(values), start.orbit
-    x = np.asarray(problem.state_vector(orbit.start_state))
+def _closed_at_start(start: ProofStart, problem: Problem, values: ParameterValues) -> list[int]:
+    """Return the stops whose gap and gap rate are zero at the start of the period."""
+    graph = problem.graph_dynamics(values)
+    x = np.asarray(problem.state_vector(start.orbit.start_state))
     views = [graph.view(graph.open_mode, k) for k in range(len(graph.stop_names))]
-    closed = [
+    return [
         k
         for k, view in enumerate(views)
         if abs(view.gap(x)) < _ON_STOP * view.own.gap
         and abs(view.gap_rate(x)) < _ON_STOP * view.own.gap_rate
     ]
-    require_proved(len(closed) < 2, "shape", "several stops are closed at the same time")
+
+
+def _before_switch(
+    start: ProofStart, problem: Problem, closed: Sequence[int]
+) -> tuple[PeriodStart, int]:
+    """Return the section of the states just before a switch, and the stop that was met last."""
+    graph, orbit = problem.compiled_graph().graph, start.orbit
+    names = [one.name for one in watched(graph.stops)]
     met = [event for event in orbit.events if event.word in ("impact", "zeno", "release")]
     last = met[-1].name.partition(" ")[2] if met else ""
-    stop = graph.stop_names.index(last) if last else 0
-    switch = problem.compiled_graph().graph.switch_names.index(start.event)
+    stop, switch = names.index(last) if last else 0, graph.switch_names.index(start.event)
     section = PeriodStart(SectionKind.SWITCH, switch, locked=bool(closed))
-    return section, closed[0] if closed else stop
+    return section, stop if stop in closed or not closed else closed[0]
 
 
 def _sides_before(
@@ -317,15 +302,15 @@ def walk_period(
     reason = system.light(start.at.box)
     require_proved(not reason, "inertia", reason)
     require_proved(not (system.struck and system.plastic), "shape", _PLASTIC)
-    stop, sides = 0, ()
+    view = 0, tuple[bool, ...](), -1
     if system.view is not None:
-        stop, sides = system.view.stop, system.view.sides
+        view = system.view.stop, system.view.sides, system.view.held
     departure = {
         SectionKind.RELEASE: Departure.RELEASED,
         SectionKind.IMPACT: Departure.STRUCK,
         SectionKind.SWITCH: Departure.LOCKED if machine.section.locked else Departure.FLYING,
     }[machine.section.kind]
-    stage = ProofStage.started(start.at, departure, stop, sides)
+    stage = ProofStage.started(start.at, departure, view)
     period = given.orbit.period
     radius = max((float(u.rad()) for u in start.at.U), default=0.0)
     what = f"follow a box of radius {radius:.0e}" if radius else "follow the orbit"

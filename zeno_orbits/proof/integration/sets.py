@@ -349,6 +349,7 @@ class ProofStage:
         metric: Units of the states in which the flow is balanced, powers of two, ``(n,)``.
         stop: Index of the stop that was met last.
         sides: Side of every kink.
+        held: Index of another stop that is held closed, or -1.
         switched: Index of the switch that was crossed just before and whose guard is zero, or None.
     """
 
@@ -358,21 +359,49 @@ class ProofStage:
     metric: Vector
     stop: int = 0
     sides: tuple[bool, ...] = ()
+    held: int = -1
     switched: int | None = None
 
     @classmethod
     def started(
-        cls, at: BallSet, departure: Departure, stop: int = 0, sides: tuple[bool, ...] = ()
+        cls, at: BallSet, departure: Departure, view: tuple[int, tuple[bool, ...], int]
     ) -> ProofStage:
-        """Return the stage of a set on the section at time zero."""
+        """Return the stage of a set on the section at time zero, by stop, sides and held stop."""
+        stop, sides, held = view
         return cls(
             at=at,
             departure=departure,
             stop=stop,
             sides=sides,
+            held=held,
             time=BallTime.start(len(at.U)),
             metric=np.ones(len(at.m)),
         )
+
+    @property
+    def view(self) -> tuple[int, tuple[bool, ...], int]:
+        """The stop that was met last, the sides, and the held stop."""
+        return self.stop, self.sides, self.held
+
+    @property
+    def closed(self) -> dict[int, int]:
+        """Each closed stop, and the other closed stop or -1."""
+        locked = self.departure is Departure.LOCKED
+        closed = {self.stop: self.held} if locked else dict[int, int]()
+        if self.held >= 0:
+            closed[self.held] = self.stop if locked else -1
+        return closed
+
+    def seen(self, stop: int) -> tuple[int, tuple[bool, ...], int]:
+        """Return the view of a stop, in which the other closed stop is held.
+
+        Raises:
+            ProofError: If two other stops are closed.
+        """
+        others = [k for k in self.closed if k != stop]
+        if len(others) > 1:
+            raise ProofError("shape", "a third stop is met while two stops are closed")
+        return stop, self.sides, others[0] if others else -1
 
     def timed(self, duration: Ball, row: Matrix) -> BallTime:
         """Return the times after an event.

@@ -41,18 +41,19 @@ def require_before(machine: BallMachine, stage: ProofStage, switch: int) -> None
     Raises:
         ProofError: If this is not proved.
     """
-    system, box = machine.view(stage.stop, stage.sides), stage.at.box
+    system, box = machine.view(*stage.view), stage.at.box
     locked, declared = stage.departure is Departure.LOCKED, machine.n_declared
     flow, guards = system.locked if locked else system.free, system.guards(box)
     gradient, speeds = guards[switch][1], flow.rate(box)
     slope = sum((g * f for g, f in zip(gradient, speeds, strict=True)), ZERO)
     met = is_clear(-slope) and (switch >= declared or is_clear(system.armed(box)[switch]))
     require_proved(met, "section", "the switch of the section is not proved to be met from the box")
-    for view in machine.views(stage.sides):
-        apart = (locked and view.gap == system.gap) or is_clear(box[view.gap])
+    for k, view in enumerate(machine.views(stage.sides)):
+        apart = k in stage.closed or is_clear(box[view.gap])
         require_proved(apart, "section", "a gap is not proved positive just before the switch")
-    pressed = not locked or is_clear(flow.guard(box)[0])
-    require_proved(pressed, "section", "the stop is not proved to press just before the switch")
+    forces = (machine.view(*stage.seen(k)).locked.guard(box)[0] for k in stage.closed)
+    pressed = all(is_clear(force) for force in forces)
+    require_proved(pressed, "section", "a stop is not proved to press just before the switch")
     for k, (value, _) in enumerate(guards):
         sound = k == switch or is_clear(value) or (k < declared and is_clear(-value))
         reason = f"`{machine.switch_names[k]}` is not proved to differ from zero just before it"
@@ -72,13 +73,13 @@ def pass_switch(
     Raises:
         ProofError: If the mode after the switch is not proved.
     """
-    system, at = machine.view(stage.stop, stage.sides), stage.at
+    system, at = machine.view(*stage.view), stage.at
     image, derivative = system.switched(switch, at.m)[0], system.switched(switch, at.box)[1]
     moved = product(derivative, at.deviation)
     box = [a + b for a, b in zip(image, moved, strict=True)]
     kink = switch - machine.n_declared
     sides = machine.sides_at(stage.stop, stage.sides, box, kink if kink >= 0 else None)
-    after = machine.view(stage.stop, sides)
+    after = machine.view(stage.stop, sides, stage.held)
     departure = _departure(machine, stage, sides, box)
     # A guard that is not zero after the switch is an ordinary guard again.
     kept = kink >= 0 or not bool(after.guards(box)[switch][0] != 0)
@@ -100,10 +101,11 @@ def _departure(
     machine: BallMachine, stage: ProofStage, sides: tuple[bool, ...], box: Sequence[Ball]
 ) -> Departure:
     """Return the mode after a switch, and the position relative to the stop."""
-    system = machine.view(stage.stop, sides)
+    system = machine.view(stage.stop, sides, stage.held)
     held = stage.departure is Departure.LOCKED and box[system.gap].is_zero()
-    for view in machine.views(sides):
-        apart = (held and view.gap == system.gap) or bool(box[view.gap] > 0)
+    for k, view in enumerate(machine.views(sides)):
+        kept = k == stage.held and box[view.gap].is_zero() and box[view.rate].is_zero()
+        apart = kept or (held and view.gap == system.gap) or bool(box[view.gap] > 0)
         require_proved(apart, "switch", "a gap is not proved positive just after a switch")
     if not held:
         return Departure.FLYING

@@ -7,7 +7,7 @@ only at the expected events.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -214,8 +214,8 @@ def walk(
                 summed = False
             if not summed:
                 raise error from None
-    ended = way.stage.stop, way.stage.sides, way.stage.departure is Departure.LOCKED
-    returned = ended == (start.stop, start.sides, start.departure is Departure.LOCKED)
+    ended = way.stage.view, way.stage.departure is Departure.LOCKED
+    returned = ended == (start.view, start.departure is Departure.LOCKED)
     require_proved(returned, "shape", "the motion returns to its section in another mode")
     return ProofPassage(
         records=tuple(way.records),
@@ -250,7 +250,7 @@ class _Way:
 
     @property
     def _system(self) -> BallSystem:
-        return self._machine.view(self.stage.stop, self.stage.sides)
+        return self._machine.view(*self.stage.view)
 
     @property
     def _on_section(self) -> bool:
@@ -344,7 +344,8 @@ class _Way:
         if self._slow is None:
             return False
         (stage, n_records, n_events), self._slow = self._slow, None
-        record, self.stage = settle_impacts(self._machine.view(stage.stop, stage.sides), stage)
+        closed = [self._machine.view(*stage.seen(k)) for k in stage.closed]
+        record, self.stage = settle_impacts(self._machine.view(*stage.view), stage, closed)
         self.records[n_records:], self.events[n_events:] = [record], []
         self._hold()
         return True
@@ -361,21 +362,26 @@ class _Way:
         self.events.append(event)
 
 
+def _contacts(machine: BallMachine, stage: ProofStage) -> Iterator[tuple[BallSystem, Departure]]:
+    """Yield for each stop its system, and the mode and position of a set relative to it."""
+    for k in range(len(machine.stop_names)):
+        if k in stage.closed:
+            yield machine.view(*stage.seen(k)), Departure.LOCKED
+        else:
+            departure = stage.departure if k == stage.stop else Departure.FLYING
+            yield machine.view(k, stage.sides), departure
+
+
 def _met_first(
     machine: BallMachine, stage: ProofStage, points: list[Series], within: float
 ) -> tuple[float | None, Meeting]:
     """Return an approximate time of the first event of the middle of a set, and the event."""
-    system = machine.view(stage.stop, stage.sides)
-    locked = stage.departure is Departure.LOCKED
     found: list[tuple[float, Meeting]] = []
-    for k, view in enumerate(machine.views(stage.sides)):
-        if locked and k != stage.stop:
-            continue
-        own = stage if k == stage.stop else replace(stage, departure=Departure.FLYING)
-        time = meeting_guess(view, own, points, within)
+    for k, (view, departure) in enumerate(_contacts(machine, stage)):
+        time = meeting_guess(view, departure, points, within)
         if time is not None:
-            found.append((time, Meeting("release" if locked else "stop", k)))
-    switch = switch_guess(system, stage, points, within)
+            found.append((time, Meeting("release" if k in stage.closed else "stop", k)))
+    switch = switch_guess(machine.view(*stage.view), stage, points, within)
     found += [switch] if switch else []
     return min(found, default=(None, Meeting("", 0)))
 
@@ -396,11 +402,9 @@ def _step_reason(
         end: States at the end of the step.
         met: The event that ends the step, if there is one.
     """
-    system, start = machine.view(stage.stop, stage.sides), stage.at.box
+    system, start = machine.view(*stage.view), stage.at.box
     flow = system.locked if stage.departure is Departure.LOCKED else system.free
-    for k, view in enumerate(machine.views(stage.sides)):
-        own = k == stage.stop
-        departure = stage.departure if own else Departure.FLYING
+    for k, (view, departure) in enumerate(_contacts(machine, stage)):
         ends = met is not None and met.kind != "switch" and met.number == k
         reason = contact_reason(view, flow, departure, start, box, None if ends else end[view.gap])
         if reason:
@@ -417,7 +421,7 @@ def _move(
     least: float,
 ) -> tuple[ProofRecord, ProofStage, Meeting | None]:
     """Return a record (step or crossing), the stage after it, and the event of a crossing."""
-    system = machine.view(stage.stop, stage.sides)
+    system = machine.view(*stage.view)
     locked = stage.departure is Departure.LOCKED
     flow = system.locked if locked else system.free
     size, orders = min(pace.size, pace.most), settings.orders
@@ -461,17 +465,16 @@ def _move(
             guess, met, size = dip, touched, _aimed(dip, size)
             continue
         if meets and guess is not None:
-            stop = met.number if met.kind == "stop" else stage.stop
-            seen = machine.view(stop, stage.sides)
+            view = stage.view if met.kind == "switch" else stage.seen(met.number)
             try:
-                record, after = cross(seen, stage, step, points, arb(guess), met)
+                record, after = cross(machine.view(*view), stage, step, points, arb(guess), met)
             except ProofError:
                 # The motions of a wide set cross at times that differ more than a step exceeds one.
                 if not later:
                     raise
                 size = guess * later.pop(0)
                 continue
-            return record, replace(after, stop=stop), met
+            return record, replace(after, stop=view[0], held=view[2]), met
         if not shortened:
             pace.size = size * max(0.5, min(4.0, 0.9 * excess ** (-1 / (orders[1] + 1))))
         return (*_stepped(system, stage, exact, orders, image, derivative), None)
@@ -580,7 +583,7 @@ def contact_reason(
         end: Gap at the end of the step, or None if the step must cross the guard.
     """
     if departure is Departure.LOCKED:
-        multiplier, gradient, speeds = flow.guard(box)
+        multiplier, gradient, speeds = system.locked.guard(box)
         slope = sum((g * f for g, f in zip(gradient, speeds, strict=True)), ZERO)
         if end is None:
             holds, what = is_clear(-slope), f"to fall at the release ({slope})"
