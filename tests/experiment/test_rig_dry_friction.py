@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import casadi as ca
@@ -179,3 +180,38 @@ def test_friction_along_a_rate_that_a_declared_part_has_is_refused() -> None:
         run_rig(problem, problem.values(), rig, start, 1.0)
     viscous = zo.Rig(friction={"x": zo.Friction(viscous=0.5)})
     assert run_rig(problem, problem.values(), viscous, start, 0.1).states.shape[1] == 3
+
+
+def pushed_model(push: str, is_part: bool, _: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+    """Return a mass with a motor and a force with a kink, of its own or of a part of the drive."""
+    x, v, u = ca.SX.sym("x"), ca.SX.sym("v"), ca.SX.sym("u")
+    force = ca.SX(eval(push, {"x": x, "v": v, "ca": ca}))
+    mass = zo.HybridLagrangian.from_energies(
+        q=x,
+        v=v,
+        kinetic=v**2 / 2,
+        potential=2 * x**2,
+        passive_force=ca.SX(0) if is_part else force,
+    )
+    motor = zo.MotorBank(
+        selection=ca.SX(1),
+        resistance=ca.SX(2),
+        inductance=ca.SX(0.3),
+        torque_constant=ca.SX(0.5),
+        emf_constant=ca.SX(0.5),
+        voltage=0.3 - 0.1 * v,
+    )
+    further = zo.Auxiliary(states=u, rate=-u, force=force if is_part else ca.SX(0))
+    return zo.hybrid_system(mass, (zo.full_drive(mass, motor), further))
+
+
+@pytest.mark.parametrize("push", ["-0.3 * ca.sign(x)", "ca.if_else(x > 0.1, -1, 0.5)"])
+def test_a_kink_of_a_drive_beside_a_motor_is_an_event_of_the_rig(push: str) -> None:
+    units, start = {"x": "m", "v": "m/s", "i": "A", "u": "1"}, (1.0, 0.2, 0.0, 0.0)
+    ends: list[np.ndarray] = []
+    for is_part in (False, True):
+        problem = machine_of(partial(pushed_model, push, is_part), units, {})
+        run = run_rig(problem, problem.values(), zo.Rig(), start, 9.0, settings=FINE)
+        ends.append(run.states[-1])
+    # The steps are the same, so both machines have the same error.
+    assert ends[1] == pytest.approx(ends[0], abs=1e-12)

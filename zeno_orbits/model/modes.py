@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 
 import casadi as ca
@@ -183,12 +184,35 @@ class ModeGraph:
             parts = formulas_of(self.mechanism), formulas_of(self.drive)
             found = branched(self._kinked, self.state, sides, self._gaps(beyond))
             n = len(parts[0])
+            drive = replace(self.drive, **dict(zip(parts[1], found.formulas[n:], strict=True)))
             self._branches[key] = (
                 replace(self.mechanism, **dict(zip(parts[0], found.formulas[:n], strict=True))),
-                replace(self.drive, **dict(zip(parts[1], found.formulas[n:], strict=True))),
+                replace(drive, fed=self._fed_on_branch(sides, beyond)),
                 found.smooth,
             )
         return self._branches[key]
+
+    def _fed_on_branch(
+        self, sides: tuple[bool, ...], beyond: tuple[int, ...]
+    ) -> Callable[[ca.SX], Drive] | None:
+        """Return the function from source voltages to the drive on a branch of the kinks."""
+        fed = self.drive.fed
+        if fed is None or not self.conditions:
+            return fed
+
+        def on_branch(source: ca.SX) -> Drive:
+            asked = ca.SX.sym("source", source.numel())
+            parts = formulas_of(fed(asked))
+            kinked = [*self._kinked, *parts.values()]
+            found = branched(kinked, self.state, sides, self._gaps(beyond))
+            if len(found.conditions) > len(self.conditions):
+                # A kink of the source itself has no side: the formulas stay as they are written.
+                return fed(source)
+            smooth = found.formulas[len(self._kinked) :]
+            whole = ca.substitute(list(smooth), [asked], [source])
+            return replace(fed(source), **dict(zip(parts, whole, strict=True)))
+
+        return on_branch
 
     def on_sides(self, sides: ca.SX) -> tuple[tuple[ca.SX, ...], tuple[ca.SX, ...]]:
         """Return the conditions of the kinks on given sides, and their derivatives: `sided`."""
