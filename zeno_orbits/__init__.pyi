@@ -51,6 +51,7 @@ from .errors import EquationsWarning as EquationsWarning
 from .errors import InputError as InputError
 from .errors import OrbitFileError as OrbitFileError
 from .errors import PenetrationError as PenetrationError
+from .errors import RunawayError as RunawayError
 from .errors import SimulationError as SimulationError
 from .errors import SimultaneousEventsError as SimultaneousEventsError
 from .errors import SlidingError as SlidingError
@@ -241,6 +242,7 @@ __all__ = [
     "Rig",
     "RigRun",
     "RigSettings",
+    "RunawayError",
     "Scatter",
     "ScatterSettings",
     "SearchMethod",
