@@ -240,6 +240,32 @@ def test_an_impact_moves_a_part_that_sticks_only_if_it_gives_it_a_rate(
     assert all(one.time == found.impacts[0].time for one in found.switches)
 
 
+@pytest.mark.parametrize(
+    ("c", "e"), [(0.05, 0.5), (-0.02, 0.7), (0.08, 0.4), (-0.06, 0.55), (0.4, 0.5)]
+)
+def test_impacts_beside_a_part_that_they_move_fall_by_the_ratio_of_its_slip(
+    c: float, e: float
+) -> None:
+    units = {"x": "m", "y": "m", "vx": "m/s", "vy": "m/s", "side_table": "1"}
+    problem = machine_of(kicked_model, units, {"c": c, "e": e})
+    # By hand: inverse mass of ``[[1, c], [c, 1]]``, and accelerations of table and gap.
+    inverse, g, torque, side = 1 / (1 - c * c), 9.81, 0.5, -math.copysign(1.0, c)
+    b = side * inverse * (c * g - torque * side)
+    a = inverse * (-g + c * torque * side)
+    mu = abs(c) * (1 + e) / (e * abs(b))
+    if mu * abs(a) < 2:
+        with pytest.raises(zo.ChatterError, match=r"`(stick|slip) table.*` accumulate") as told:
+            zo.simulate(problem, start={"y": 0.3}, until=10.0)
+        found, ratio = told.value.execution, e * math.sqrt(1 + (a + g) * mu * (2 + a * mu))
+    else:
+        found, ratio = zo.simulate(problem, start={"y": 0.3}, until=0.8), e
+        assert found.zeno_points[0].state[2] != 0.0
+    assert found is not None
+    speeds = np.array([-one.approach_rate for one in found.impacts])
+    assert len(speeds) > 6
+    assert speeds[1:] / speeds[:-1] == pytest.approx(np.full(len(speeds) - 1, ratio), rel=1e-6)
+
+
 def hammer() -> LinearMachine:
     """Return `guided_hammer`, whose magnet is a third coordinate that swings freely."""
     p = zo.load_problem("guided_hammer").values().numbers
