@@ -14,7 +14,6 @@ SCRIPTS = sorted((ROOT / "benchmarks").glob("*.py"))
 REDUCED = {
     "beside_others": ("--quick", "--runs", "1"),
     "chatter_cascade": ("--most", "2"),
-    "comparison": ("--machines", "motor_flap", "--samples", "150", "--seeds", "1"),
     "contact_coverage": ("--recordings", "2", "--periods", "3"),
     "contact_fits": ("--quick",),
     "coverage": ("--quick", "--problems", "vibrating_table", "--workers", "1"),
@@ -32,7 +31,6 @@ REDUCED = {
     "many_gains": ("--gains", "2", "--kinds", "amplitudes", "--trials", "4"),
     "map_agreement": ("--points", "3", "--grid", "4"),
     "map_speed": ("--size", "3", "--orbits", "2", "--fates", "2"),
-    "one_machine": ("--problems", "bouncing_ball", "--tasks", "verify"),
     "one_story": ("vibrating_table",),
     "optima": ("--only", "4", "--workers", "1"),
     "problem_cost": ("--runs", "1"),
