@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from zeno_orbits.errors import InputError, any_number, named_numbers, not_known, number_range
 from zeno_orbits.work import Checked, require_kinds
@@ -43,6 +43,21 @@ class Objective(ABC):
 
     __slots__ = ()
 
+    is_sampled: ClassVar[bool] = False
+    """True if the quantity is computed from many simulations and is not part of a program."""
+    is_maximized: ClassVar[bool] = False
+    """True if a larger value is better."""
+    is_in_program: ClassVar[bool] = True
+    """True if a program has the objective."""
+    needs_source: ClassVar[bool] = False
+    """True if the objective needs the work of a source."""
+    has_edges: ClassVar[bool] = False
+    """True if the objective is the largest of several numbers, so that it has edges."""
+    prescribes: ClassVar[bool] = False
+    """True if the objective prescribes the value of a quantity."""
+    least: ClassVar[float] = -math.inf
+    """Lower bound of the score."""
+
     @property
     @abstractmethod
     def wish(self) -> str:
@@ -54,39 +69,9 @@ class Objective(ABC):
         return ()
 
     @property
-    def is_sampled(self) -> bool:
-        """True if the quantity is computed from many simulations and is not part of a program."""
-        return False
-
-    @property
     def is_measured(self) -> bool:
         """True if the objective is a quantity of the orbit, and not a distance of values."""
         return bool(self.quantities or self.is_sampled)
-
-    @property
-    def is_maximized(self) -> bool:
-        """True if a larger value is better."""
-        return False
-
-    @property
-    def is_in_program(self) -> bool:
-        """True if a program has the objective."""
-        return True
-
-    @property
-    def needs_source(self) -> bool:
-        """True if the objective needs the work of a source."""
-        return False
-
-    @property
-    def has_edges(self) -> bool:
-        """True if the objective is the largest of several numbers, so that it has edges."""
-        return False
-
-    @property
-    def prescribes(self) -> bool:
-        """True if the objective prescribes the value of a quantity."""
-        return False
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -104,11 +89,6 @@ class Objective(ABC):
         from zeno_orbits.model import corners_of
 
         return corners_of(self.parameter_ranges)
-
-    @property
-    def least(self) -> float:
-        """Lower bound of the score."""
-        return -math.inf
 
     @property
     def goal(self) -> Mapping[str, float]:
@@ -213,16 +193,13 @@ class WorstCase(Objective, Checked):
         default_factory=dict[str, tuple[float, float]]
     )
 
+    has_edges = True
+
     def __post_init__(self) -> None:
         """Refuse values of a wrong kind. `check` refuses values without a meaning."""
         Checked.__post_init__(self)
         for name, ends in named_numbers("uncertain", self.uncertain).items():
             number_range("uncertain", ends, name)
-
-    @property
-    def has_edges(self) -> bool:
-        """True."""
-        return True
 
     @property
     def parameter_ranges(self) -> Mapping[str, tuple[float, float]]:
@@ -298,14 +275,11 @@ class Target(Objective):
 
     target: float
 
+    prescribes = True
+
     def __post_init__(self) -> None:
         """Refuse a target of a wrong kind. `check` refuses values without a meaning."""
         require_kinds(self)
-
-    @property
-    def prescribes(self) -> bool:
-        """True."""
-        return True
 
     @abstractmethod
     def prescribed(self, point: MeasuredOrbit) -> Slope:
@@ -410,6 +384,8 @@ class TargetAmplitude(Target):
 class MinEnergy(WorstCase):
     """The least work of sources and external forces in a period."""
 
+    needs_source = True
+
     @property
     def wish(self) -> str:
         """The objective in words."""
@@ -419,11 +395,6 @@ class MinEnergy(WorstCase):
     def quantities(self) -> tuple[str, ...]:
         """The electrical work."""
         return ("energy",)
-
-    @property
-    def needs_source(self) -> bool:
-        """True."""
-        return True
 
     def costs(self, trial: Trial) -> tuple[Slope, ...]:
         """Return the work of a period [J]."""
@@ -487,6 +458,10 @@ class MinPeak(WorstCase):
 class MinSpectralRadius(Objective):
     """The fastest return after a disturbance: the least spectral radius of the return map."""
 
+    # A program has no multipliers.
+    is_in_program = False
+    least = LEAST_RADIUS
+
     @property
     def wish(self) -> str:
         """The objective in words."""
@@ -497,19 +472,9 @@ class MinSpectralRadius(Objective):
         """The spectral radius."""
         return ("spectral_radius",)
 
-    @property
-    def is_in_program(self) -> bool:
-        """False: a program has no multipliers."""
-        return False
-
     def costs(self, trial: Trial) -> tuple[Slope, ...]:
         """Return the spectral radius."""
         return (trial.differenced("spectral_radius"),)
-
-    @property
-    def least(self) -> float:
-        """A radius that counts as zero."""
-        return LEAST_RADIUS
 
     def rank(self, extent: Extent) -> float:
         """Return the spectral radius, or `LEAST_RADIUS` if that is larger."""
@@ -520,10 +485,7 @@ class MinSpectralRadius(Objective):
 class Sampled(Objective):
     """Base of objectives whose quantity follows from many motions."""
 
-    @property
-    def is_sampled(self) -> bool:
-        """True."""
-        return True
+    is_sampled = True
 
     def rank(self, extent: Extent) -> float:
         """Return minus the quantity."""
@@ -538,6 +500,11 @@ class MaxMargin(Sampled):
     unstable. Distances are in units of the ranges, at most one, and are comparable between shapes.
     """
 
+    is_maximized = True
+    # The distance follows from many orbits.
+    is_in_program = False
+    least = -1.0
+
     @property
     def wish(self) -> str:
         """The objective in words."""
@@ -548,16 +515,6 @@ class MaxMargin(Sampled):
         """The smallest distance."""
         return (PERSISTENCE,)
 
-    @property
-    def is_maximized(self) -> bool:
-        """True."""
-        return True
-
-    @property
-    def is_in_program(self) -> bool:
-        """False: the distance follows from many orbits."""
-        return False
-
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Reject a search without a free value."""
         del problem
@@ -566,11 +523,6 @@ class MaxMargin(Sampled):
                 "Argument `objective` asks for the widest margin, which needs a free value: name "
                 "its range in `vary`."
             )
-
-    @property
-    def least(self) -> float:
-        """Minus a whole range."""
-        return -1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -587,6 +539,10 @@ class MaxPush(Sampled, WorstCase):
 
     direction: Mapping[str, float] = field(default_factory=dict[str, float])
 
+    is_maximized = True
+    # The push follows from many motions.
+    is_in_program = False
+
     def __post_init__(self) -> None:
         """Refuse values of a wrong kind. `check` refuses values without a meaning."""
         WorstCase.__post_init__(self)
@@ -602,16 +558,6 @@ class MaxPush(Sampled, WorstCase):
     def quantities(self) -> tuple[str, ...]:
         """The least push."""
         return (PUSH,)
-
-    @property
-    def is_maximized(self) -> bool:
-        """True."""
-        return True
-
-    @property
-    def is_in_program(self) -> bool:
-        """False: the push follows from many motions."""
-        return False
 
     @property
     def trial_corners(self) -> list[dict[str, float]]:
@@ -641,15 +587,10 @@ class OfImpacts(Sampled, WorstCase):
 
     stop: str = ""
 
-    @property
-    @abstractmethod
-    def quantity(self) -> str:
-        """Word of the quantity of a stop, such as ``energy_lost``."""
-
-    @property
-    @abstractmethod
-    def what(self) -> str:
-        """The quantity in words."""
+    quantity: ClassVar[str]
+    """Word of the quantity of a stop, such as ``energy_lost``."""
+    what: ClassVar[str]
+    """The quantity in words."""
 
     @property
     def wish(self) -> str:
@@ -684,30 +625,16 @@ class OfImpacts(Sampled, WorstCase):
 class MinImpactLoss(OfImpacts):
     """The least kinetic energy lost in impacts per period."""
 
-    @property
-    def quantity(self) -> str:
-        """The lost energy."""
-        return "energy_lost"
-
-    @property
-    def what(self) -> str:
-        """The quantity in words."""
-        return "energy lost in impacts"
+    quantity = "energy_lost"
+    what = "energy lost in impacts"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MinBounceTime(OfImpacts):
     """The least time from first impacts to their Zeno points per period."""
 
-    @property
-    def quantity(self) -> str:
-        """The bounce time."""
-        return "bounce_time"
-
-    @property
-    def what(self) -> str:
-        """The quantity in words."""
-        return "bounce time"
+    quantity = "bounce_time"
+    what = "bounce time"
 
 
 class Operand(Enum):
