@@ -28,14 +28,13 @@ from typing import Any
 
 import numpy as np
 
+from zeno_orbits import MinSpectralRadius, NearestGains
 from zeno_orbits.api import Verified
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.report import terminal as report
 from zeno_orbits.search import (
-    MinSpectralRadius,
-    NearestGains,
     Objective,
     SearchResult,
     orbit_at_gains,

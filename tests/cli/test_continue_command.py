@@ -10,6 +10,7 @@ import pytest
 
 from tests.reference.reference_orbit import RELEASE
 from tests.support.commands import YES, ask, examples
+from zeno_orbits import write_orbit
 from zeno_orbits.cli import main
 from zeno_orbits.continuation import (
     Continuation,
@@ -20,7 +21,6 @@ from zeno_orbits.continuation import (
     SpecialPointKind,
 )
 from zeno_orbits.model import load_problem
-from zeno_orbits.orbits import write_orbit
 from zeno_orbits.report import plots
 from zeno_orbits.report import terminal as report
 from zeno_orbits.search import orbit_by_shooting

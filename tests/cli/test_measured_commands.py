@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 from tests.support.commands import MISUSE, NO, YES, ask, examples
-from zeno_orbits.experiment import Source, read_recording, write_recording
-from zeno_orbits.orbits import Orbit, read_orbit, write_orbit
+from zeno_orbits import write_orbit, write_recording
+from zeno_orbits.experiment import Source, read_recording
+from zeno_orbits.orbits import Orbit, read_orbit
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from tests.support.commands import MISUSE, NO, YES, Answer, ask
+from zeno_orbits import write_orbit
 from zeno_orbits.experiment import Source, read_recording
-from zeno_orbits.orbits import Orbit, write_orbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.report.terminal import progress
 
 QUICK = ("--only", "friction", "--part", "contact.stiffness=1e5", "--part", "contact.exponent=1")

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from zeno_orbits import MinEnergy, MinSpectralRadius, NearestGains
 from zeno_orbits.api import SearchNotes
 from zeno_orbits.cli import build_parser
 from zeno_orbits.cli.search_output import answer, map_command, on_the_optimum
@@ -17,9 +18,6 @@ from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.orbits import Bound, EventSequence, Orbit
 from zeno_orbits.search import (
     Candidate,
-    MinEnergy,
-    MinSpectralRadius,
-    NearestGains,
     Objective,
     SearchResult,
     SearchStatus,

@@ -15,6 +15,7 @@ from tests.reference.closed_forms import StoppedOscillator
 from tests.reference.reference_orbit import PERIOD, RELEASE
 from tests.support.releases import closed_at_release
 from tests.support.returns import next_release, release_section
+from zeno_orbits import HybridLagrangian, full_drive, hybrid_system
 from zeno_orbits.continuation import (
     ContinuationSettings,
     Family,
@@ -27,14 +28,7 @@ from zeno_orbits.continuation import (
     start_orbit,
 )
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import (
-    HybridDynamics,
-    HybridLagrangian,
-    bind,
-    full_drive,
-    hybrid_system,
-    load_problem,
-)
+from zeno_orbits.model import HybridDynamics, bind, load_problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import event_orbit_of, orbit_by_shooting
 from zeno_orbits.simulation import SimulationSettings, simulate
@@ -231,7 +225,8 @@ def linear_growth(kd: float) -> float:
     mechanism = HybridLagrangian.from_energies(
         q=q, v=v, kinetic=kinetic, potential=potential, gap=q[1]
     )
-    from zeno_orbits.model import MotorBank, compile_system
+    from zeno_orbits import MotorBank
+    from zeno_orbits.model import compile_system
 
     motor = MotorBank(
         selection=ca.SX([1, 0]),

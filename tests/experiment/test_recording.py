@@ -15,14 +15,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from tests.support.cases import fast
+from zeno_orbits import write_recording
 from zeno_orbits.errors import DataFileError, InputError
-from zeno_orbits.experiment import (
-    RecordedSignal,
-    Recording,
-    Source,
-    read_recording,
-    write_recording,
-)
+from zeno_orbits.experiment import RecordedSignal, Recording, Source, read_recording
 
 HEAD = "# zeno-orbits data 1\n# source: measured\n# problem: some_problem\n"
 TITLES = "time [s],angle [rad],current [A]\n"

@@ -16,6 +16,7 @@ import zeno_orbits as zo
 from benchmarks.rig_convergence import fit_order
 from tests.support.cases import fast
 from tests.support.disc import DISC, ELECTRIC, INERTIA
+from zeno_orbits import Friction, hybrid_system
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.experiment import (
@@ -37,14 +38,12 @@ from zeno_orbits.model import (
     CompletedSystem,
     Contact,
     Controller,
-    Friction,
     Gear,
     HBridge,
     Problem,
     PwmSettings,
     Rig,
     Sensors,
-    hybrid_system,
     load_problem,
     load_reference,
 )

@@ -17,6 +17,7 @@ from scipy.integrate import solve_ivp
 from benchmarks.rig_convergence import orbit_distance, spring_contact
 from tests.support.cases import fast
 from tests.support.disc import DISC, INERTIA
+from zeno_orbits import Friction
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import (
@@ -42,7 +43,6 @@ from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import (
     Contact,
     Controller,
-    Friction,
     Gear,
     HBridge,
     Problem,

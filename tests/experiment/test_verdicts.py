@@ -16,16 +16,16 @@ import pytest
 from tests.support.cases import fast
 from tests.support.commands import NO, YES, ask
 from tests.support.recordings_of import recorded, recording_of
+from zeno_orbits import write_orbit, write_recording
 from zeno_orbits.experiment import (
     ComparisonVerdict,
     OrbitTable,
     Recording,
     compare_recording,
     tabulate_orbit,
-    write_recording,
 )
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.orbits import Orbit, write_orbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import orbit_by_shooting
 
 MACHINES = Path(__file__).parents[1] / "support" / "machines"

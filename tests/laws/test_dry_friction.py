@@ -24,7 +24,7 @@ from tests.support.linear_friction import (
 )
 from tests.support.mechanisms import machine_of
 from tests.support.orbits import shot_orbit
-from zeno_orbits.orbits import orbit_from_json
+from zeno_orbits import orbit_from_json
 from zeno_orbits.simulation import by_reference
 from zeno_orbits.simulation.compiled.executions import by_loop
 

@@ -21,8 +21,9 @@ from scipy.optimize import brentq
 
 from tests.support.cases import fast
 from tests.support.mechanisms import numeric, slider
+from zeno_orbits import HybridLagrangian
 from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy
-from zeno_orbits.model import HybridDynamics, HybridLagrangian
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation import Impact, Release, SimulationSettings, simulate
 
 SEED = secrets.randbits(32)

@@ -21,16 +21,8 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import zeno_orbits as zo
-from zeno_orbits.model import (
-    CompletedSystem,
-    HybridLagrangian,
-    MotorBank,
-    Problem,
-    Quantity,
-    full_drive,
-    hybrid_system,
-    load_problem,
-)
+from zeno_orbits import HybridLagrangian, MotorBank, full_drive, hybrid_system
+from zeno_orbits.model import CompletedSystem, Problem, Quantity, load_problem
 from zeno_orbits.simulation import (
     Execution,
     SimulationSettings,

@@ -27,9 +27,9 @@ from tests.support.families import BALL, CART
 from tests.support.mechanisms import numeric, slider
 from tests.support.one_stop import one_stop_problems
 from tests.support.units import Units, in_units
+from zeno_orbits import HybridLagrangian
 from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError
 from zeno_orbits.integrators import Automatic, Radau, RungeKutta, Tolerance
-from zeno_orbits.model import HybridLagrangian
 from zeno_orbits.simulation import (
     FixedImpacts,
     Mode,

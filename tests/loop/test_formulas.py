@@ -16,6 +16,7 @@ import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler, task_of
 from tests.support.commands import NO, YES, ask
 from tests.support.one_stop import one_stop_problems
+from zeno_orbits import HybridLagrangian, hybrid_system, no_drive
 from zeno_orbits.integrators import Automatic, Radau, RungeKutta, Tolerance
 from zeno_orbits.loop import (
     LoopRun,
@@ -26,14 +27,7 @@ from zeno_orbits.loop import (
     machine_source,
     program_of,
 )
-from zeno_orbits.model import (
-    CompiledSystem,
-    HybridLagrangian,
-    bind,
-    compile_system,
-    hybrid_system,
-    no_drive,
-)
+from zeno_orbits.model import CompiledSystem, bind, compile_system
 from zeno_orbits.simulation import (
     SimulationSettings,
     SimulationTask,

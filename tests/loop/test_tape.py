@@ -15,6 +15,7 @@ import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
 from tests.support.mechanisms import numeric
 from tests.support.one_stop import one_stop_problems
+from zeno_orbits import HybridLagrangian
 from zeno_orbits.arrays import Vector
 from zeno_orbits.loop import (
     LoopRun,
@@ -26,7 +27,6 @@ from zeno_orbits.loop import (
     refusals,
     tape_of,
 )
-from zeno_orbits.model import HybridLagrangian
 from zeno_orbits.simulation import Execution, SimulationTask, run_settings, simulate
 
 pytestmark = needs_compiler

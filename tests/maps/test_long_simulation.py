@@ -12,10 +12,11 @@ from tests.reference.closed_forms import StoppedOscillator
 from tests.reference.long_simulation import LongRun, attractor_of
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD
 from tests.support.mechanisms import clocked_oscillator, oscillator
+from zeno_orbits import StateLimit
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.maps import Attractor, AttractorClass
 from zeno_orbits.maps.attractors import attractor_from_json, attractor_json
-from zeno_orbits.model import Problem, StateLimit, load_problem
+from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.simulation import SimulationSettings
 
 QUICK = LongRun(

@@ -22,7 +22,7 @@ import pytest
 from tests.reference.long_simulation import attractor_of
 from tests.support.commands import ask, interrupted_when, raising
 from tests.support.processes import Commands, workers_of
-from zeno_orbits import work
+from zeno_orbits import StateLimit, work
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
 from zeno_orbits.maps import (
     Attractor,
@@ -37,7 +37,7 @@ from zeno_orbits.maps import (
     require_plane,
     write_map,
 )
-from zeno_orbits.model import StateLimit, bundled_problems, load_problem, locate_problem
+from zeno_orbits.model import bundled_problems, load_problem, locate_problem
 from zeno_orbits.work import Cluster, ExecutionPlan, Workers
 
 YES, NO, MISUSE = 0, 1, 2

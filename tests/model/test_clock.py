@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from tests.reference.closed_forms import COCO, FORCED
+from zeno_orbits import Clock, HybridLagrangian, MotorBank, corrected_drive, write_orbit
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import Clock, HybridLagrangian, MotorBank, corrected_drive, load_problem
-from zeno_orbits.orbits import RELEASE_ROWS, Orbit, section_around, write_orbit
+from zeno_orbits.model import load_problem
+from zeno_orbits.orbits import RELEASE_ROWS, Orbit, section_around
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation import simulate
 from zeno_orbits.verification import verify

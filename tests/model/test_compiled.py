@@ -8,17 +8,10 @@ import numpy as np
 import pytest
 
 from problems.motor_pendulum import reference
+from zeno_orbits import HybridLagrangian, hybrid_system, no_drive
 from zeno_orbits.errors import StepSizeError
 from zeno_orbits.integrators import PlainFlow, RungeKutta, Tolerance
-from zeno_orbits.model import (
-    HybridDynamics,
-    HybridLagrangian,
-    bind,
-    compile_system,
-    hybrid_system,
-    load_problem,
-    no_drive,
-)
+from zeno_orbits.model import HybridDynamics, bind, compile_system, load_problem
 
 ROUNDING = 1e-15
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.mechanisms import bound, evaluated
-from zeno_orbits.model import (
+from zeno_orbits import (
     HybridLagrangian,
     MotorBank,
     full_drive,

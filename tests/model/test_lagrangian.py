@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.mechanisms import evaluated
-from zeno_orbits.model import HybridLagrangian
+from zeno_orbits import HybridLagrangian
 
 ROUNDING = 1e-13
 """Both sides are a few dozen operations on numbers of size 1 to 10."""

@@ -16,20 +16,18 @@ import pytest
 
 from tests.support.cases import fast
 from tests.support.units import Units, in_units
-from zeno_orbits import Problem, Quantity
-from zeno_orbits.cli import main
-from zeno_orbits.errors import ProblemFileError
-from zeno_orbits.model import (
+from zeno_orbits import (
     Clock,
-    CompletedSystem,
     HybridLagrangian,
     MotorBank,
-    bundled_problems,
+    Problem,
+    Quantity,
     hybrid_system,
-    load_problem,
     no_drive,
-    powers_of,
 )
+from zeno_orbits.cli import main
+from zeno_orbits.errors import ProblemFileError
+from zeno_orbits.model import CompletedSystem, bundled_problems, load_problem, powers_of
 
 
 def _new(*flags: str) -> str:

@@ -16,20 +16,11 @@ from tests.reference.reference_orbit import MULTIPLIER, PERIOD, RELEASE
 from tests.support.families import BALL, OSCILLATOR
 from tests.support.mechanisms import clocked_oscillator, forced_oscillator, oscillator_state
 from tests.support.returns import multipliers_at, next_release, release_return, release_section
+from zeno_orbits import HybridLagrangian, hybrid_system, no_drive
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy, Tolerance
-from zeno_orbits.model import (
-    GAP,
-    GAP_ACCELERATION,
-    GAP_RATE,
-    HybridDynamics,
-    HybridLagrangian,
-    Problem,
-    hybrid_system,
-    load_problem,
-    no_drive,
-)
+from zeno_orbits.model import GAP, GAP_ACCELERATION, GAP_RATE, HybridDynamics, Problem, load_problem
 from zeno_orbits.orbits import (
     EventReturn,
     Orbit,

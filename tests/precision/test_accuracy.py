@@ -16,6 +16,7 @@ from tests.reference.many_digits.execution import extended_execution
 from tests.reference.reference_orbit import FIRST_IMPACT, PERIOD, RELEASE, ZENO_STATE, ZENO_TIME
 from tests.support.cases import fast
 from tests.support.units import Units, in_units
+from zeno_orbits import execution_distance
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import Automatic, Radau, RungeKutta, SciPy, Tolerance
@@ -24,7 +25,6 @@ from zeno_orbits.precision import (
     FINEST,
     ExecutionWithError,
     accuracy,
-    execution_distance,
     execution_to_accuracy,
     execution_with_error,
     settings_for,

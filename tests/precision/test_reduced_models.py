@@ -14,26 +14,29 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.support.mechanisms import bound, evaluated
+from zeno_orbits import (
+    HybridLagrangian,
+    MotorBank,
+    TargetPeriod,
+    corrected_drive,
+    full_drive,
+    hybrid_system,
+    quasi_static_drive,
+)
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import (
     CompletedSystem,
     Drive,
     HybridDynamics,
-    HybridLagrangian,
     ImpactLaw,
-    MotorBank,
     ParameterValues,
     Problem,
-    corrected_drive,
-    full_drive,
-    hybrid_system,
     load_problem,
-    quasi_static_drive,
 )
 from zeno_orbits.orbits import read_orbit
 from zeno_orbits.precision import ReductionCost, errors_of_reduced_models
-from zeno_orbits.search import TargetPeriod, orbit_at_gains, search_orbits
+from zeno_orbits.search import orbit_at_gains, search_orbits
 from zeno_orbits.simulation import simulate
 from zeno_orbits.verification import verify
 

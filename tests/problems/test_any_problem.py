@@ -7,17 +7,15 @@ from pathlib import Path
 import casadi as ca
 import pytest
 
-from zeno_orbits.model import (
-    CompletedSystem,
+from zeno_orbits import (
     HybridLagrangian,
     MotorBank,
-    Problem,
     full_drive,
     hybrid_system,
     ideal_torque_drive,
-    load_problem,
     quasi_static_drive,
 )
+from zeno_orbits.model import CompletedSystem, Problem, load_problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.verification import OrbitCertificate, verify

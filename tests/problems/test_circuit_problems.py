@@ -30,12 +30,13 @@ from zeno_orbits import (
     Quantity,
     circuit_drive,
     hybrid_system,
+    write_orbit,
 )
 from zeno_orbits.arrays import Vector
 from zeno_orbits.cli import main
 from zeno_orbits.experiment import run_rig
 from zeno_orbits.model import Contact, Controller, Rig, load_problem, load_reference
-from zeno_orbits.orbits import Orbit, write_orbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation import simulate
 from zeno_orbits.verification import verify

@@ -18,9 +18,10 @@ from tests.reference import library_truth as truth
 from tests.reference.reference_orbit import PERIOD
 from tests.support.cases import fast
 from tests.support.one_stop import one_stop_problems
+from zeno_orbits import orbit_from_json, write_orbit
 from zeno_orbits.cli import main
 from zeno_orbits.model import bind, load_problem, powers_of
-from zeno_orbits.orbits import Orbit, orbit_from_json, write_orbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.report.plots import has_zeno_region, plot_outputs
 from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation import simulate

@@ -20,14 +20,9 @@ from tests.reference.many_digits.run import ExtendedRun, Trace
 from tests.reference.many_digits.system import ExtendedSystem
 from tests.support.cases import fast
 from tests.support.mechanisms import clocked_oscillator
+from zeno_orbits import HybridLagrangian, hybrid_system, no_drive
 from zeno_orbits.errors import InputError, SimulationError, TranslationError
-from zeno_orbits.model import (
-    CompletedSystem,
-    HybridLagrangian,
-    hybrid_system,
-    load_problem,
-    no_drive,
-)
+from zeno_orbits.model import CompletedSystem, load_problem
 from zeno_orbits.simulation import simulate
 
 BALL = load_problem("bouncing_ball")

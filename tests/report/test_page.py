@@ -24,10 +24,11 @@ from tests.support.commands import examples
 from tests.support.disturbances import pushes_of, recovery_of
 from tests.support.orbits import changed
 from tests.support.report_pages import commands_in, plotted
+from zeno_orbits import write_orbit
 from zeno_orbits.cli import main
 from zeno_orbits.errors import StepSizeError
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
-from zeno_orbits.orbits import Orbit, read_orbit, write_orbit
+from zeno_orbits.orbits import Orbit, read_orbit
 from zeno_orbits.precision import TimedSetting, WorkPrecision, read_work_precision
 from zeno_orbits.report.page import Subject, load_bundle, page_of, words
 from zeno_orbits.search import orbit_at_gains

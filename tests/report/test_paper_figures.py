@@ -26,6 +26,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from tests.support.recordings_of import recorded
+from zeno_orbits import write_orbit
 from zeno_orbits.arrays import Vector
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
@@ -40,7 +41,7 @@ from zeno_orbits.experiment import (
     tabulate_orbit,
 )
 from zeno_orbits.model import HybridDynamics, Problem, load_problem
-from zeno_orbits.orbits import Orbit, write_orbit
+from zeno_orbits.orbits import Orbit
 from zeno_orbits.report import plots
 from zeno_orbits.report.plots import COLUMN_WIDTH, PAPER, TwoMotions
 from zeno_orbits.simulation import Execution, simulate

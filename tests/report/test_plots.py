@@ -21,18 +21,10 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Annotation
 
 from tests.support.cases import fast
+from zeno_orbits import HybridLagrangian, hybrid_system, no_drive
 from zeno_orbits.errors import InputError
 from zeno_orbits.maps import Attractor, AttractorClass, Axis, Boundary, ParameterMap
-from zeno_orbits.model import (
-    CompletedSystem,
-    HybridDynamics,
-    HybridLagrangian,
-    Problem,
-    Quantity,
-    hybrid_system,
-    load_problem,
-    no_drive,
-)
+from zeno_orbits.model import CompletedSystem, HybridDynamics, Problem, Quantity, load_problem
 from zeno_orbits.precision import TimedSetting, WorkPrecision
 from zeno_orbits.report.plots import (
     COLUMN_WIDTH,

@@ -18,18 +18,11 @@ from tests.support import sheets
 from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from tests.support.returns import next_release, release_return, release_section
+from zeno_orbits import HybridLagrangian, StateLimit, hybrid_system, no_drive
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.integrators import Automatic, Engine, Radau
-from zeno_orbits.model import (
-    CompletedSystem,
-    HybridLagrangian,
-    Problem,
-    StateLimit,
-    hybrid_system,
-    load_problem,
-    no_drive,
-)
+from zeno_orbits.model import CompletedSystem, Problem, load_problem
 from zeno_orbits.orbits import (
     Orbit,
 )

@@ -12,10 +12,10 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.contactless import wheel, wheel_motion
+from zeno_orbits import NearestGains
 from zeno_orbits.orbits import EventReturn, event_return, largest_states, on_section
 from zeno_orbits.orbits import orbit_event_name as name_of
 from zeno_orbits.search import (
-    NearestGains,
     ProgramOrbit,
     ProgramTask,
     Verdict,

@@ -18,11 +18,11 @@ import pytest
 from tests.support.commands import ask, interrupted_when
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands
+from zeno_orbits import MaxMargin
 from zeno_orbits.errors import CheckpointError, InputError
 from zeno_orbits.model import locate_problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import (
-    MaxMargin,
     SearchResult,
     SearchSettings,
     SearchStatus,

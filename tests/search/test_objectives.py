@@ -13,12 +13,7 @@ from scipy.optimize import brentq
 
 from tests.support.measured import measured
 from tests.support.returns import multipliers_at
-from zeno_orbits.api import Verified
-from zeno_orbits.errors import InputError
-from zeno_orbits.model import Problem, load_problem, load_reference
-from zeno_orbits.orbits import Bound, Orbit
-from zeno_orbits.search import (
-    OBJECTIVES,
+from zeno_orbits import (
     MaxMargin,
     MaxPush,
     MinBounceTime,
@@ -27,12 +22,19 @@ from zeno_orbits.search import (
     MinPeak,
     MinSpectralRadius,
     NearestGains,
+    TargetAmplitude,
+    TargetPeriod,
+)
+from zeno_orbits.api import Verified
+from zeno_orbits.errors import InputError
+from zeno_orbits.model import Problem, load_problem, load_reference
+from zeno_orbits.orbits import Bound, Orbit
+from zeno_orbits.search import (
+    OBJECTIVES,
     Objective,
     Operand,
     SearchSettings,
     SearchStatus,
-    TargetAmplitude,
-    TargetPeriod,
     TransientSettings,
     Verdict,
     objective_help,

@@ -6,9 +6,10 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support.commands import YES, ask
+from zeno_orbits import MaxMargin
 from zeno_orbits.continuation import family_of_orbit
 from zeno_orbits.model import load_problem
-from zeno_orbits.search import MaxMargin, SearchSettings, orbit_at_gains, search_orbits
+from zeno_orbits.search import SearchSettings, orbit_at_gains, search_orbits
 
 ONCE = SearchSettings(n_starts=0)
 

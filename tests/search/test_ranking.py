@@ -8,14 +8,12 @@ from typing import Any
 
 import pytest
 
+from zeno_orbits import MinEnergy, MinSpectralRadius, NearestGains
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.search import (
     Candidate,
-    MinEnergy,
-    MinSpectralRadius,
-    NearestGains,
     SearchResult,
     SearchSettings,
     SearchStatus,

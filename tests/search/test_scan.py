@@ -6,14 +6,9 @@ from typing import Any
 
 import pytest
 
+from zeno_orbits import MinSpectralRadius, NearestGains, TargetPeriod
 from zeno_orbits.model import Problem
-from zeno_orbits.search import (
-    MinSpectralRadius,
-    NearestGains,
-    SearchStatus,
-    TargetPeriod,
-    search_orbits,
-)
+from zeno_orbits.search import SearchStatus, search_orbits
 
 # The motor pendulum.
 

@@ -17,18 +17,14 @@ from tests.reference.reference_orbit import (
     ZENO_TIME,
 )
 from tests.support.cases import fast
+from zeno_orbits import MinEnergy, NearestGains, OrbitNotFoundError, TargetAmplitude, TargetPeriod
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, load_problem, load_reference
 from zeno_orbits.orbits import ONE_ZENO, Orbit
 from zeno_orbits.search import (
-    MinEnergy,
-    NearestGains,
-    OrbitNotFoundError,
     SearchResult,
     SearchSettings,
     SearchStatus,
-    TargetAmplitude,
-    TargetPeriod,
     TransientSettings,
     Verdict,
     orbit_at_gains,

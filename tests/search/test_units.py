@@ -7,17 +7,10 @@ import math
 import pytest
 
 from tests.support.units import PENDULUM, Units
+from zeno_orbits import MinPeak, NearestGains, TargetAmplitude
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound
-from zeno_orbits.search import (
-    MinPeak,
-    NearestGains,
-    Objective,
-    SearchSettings,
-    TargetAmplitude,
-    orbit_at_gains,
-    search_orbits,
-)
+from zeno_orbits.search import Objective, SearchSettings, orbit_at_gains, search_orbits
 
 ONCE = SearchSettings(n_starts=0)
 SAME = 1e-7

@@ -7,10 +7,11 @@ from typing import Any
 
 import pytest
 
+from zeno_orbits import NearestGains
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Bound, Orbit
-from zeno_orbits.search import NearestGains, SearchSettings, TransientSettings, search_orbits
+from zeno_orbits.search import SearchSettings, TransientSettings, search_orbits
 
 
 def _check(problem: Problem, **asked: Any) -> None:

@@ -6,15 +6,8 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from zeno_orbits.model import (
-    CompletedSystem,
-    HybridLagrangian,
-    MotorBank,
-    Problem,
-    Quantity,
-    full_drive,
-    hybrid_system,
-)
+from zeno_orbits import HybridLagrangian, MotorBank, full_drive, hybrid_system
+from zeno_orbits.model import CompletedSystem, Problem, Quantity
 
 INERTIA, _FAR = 0.02, 1e6
 ELECTRIC = {"R": 2.0, "L": 3e-3, "K": 0.05}

@@ -23,6 +23,7 @@ from tests.reference.reference_orbit import PERIOD, ZENO_STATE
 from tests.support.families import CIRCLE
 from tests.support.mechanisms import forced_oscillator, oscillator_state, spring_mass
 from tests.support.units import PENDULUM, PENDULUM_STATE, Units
+from zeno_orbits import OrbitNotFoundError, hybrid_system, quasi_static_drive
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.model import (
     CompiledSystem,
@@ -30,13 +31,11 @@ from zeno_orbits.model import (
     HybridDynamics,
     Problem,
     bind,
-    hybrid_system,
     load_problem,
     load_reference,
-    quasi_static_drive,
 )
 from zeno_orbits.orbits import ONE_ZENO
-from zeno_orbits.search import OrbitNotFoundError, orbit_at_gains
+from zeno_orbits.search import orbit_at_gains
 from zeno_orbits.simulation import Execution, SimulationSettings, Truncation, simulate
 
 CLOSED = "closed form"

@@ -13,15 +13,8 @@ from functools import cached_property
 import casadi as ca
 
 from tests.support.units import Dimension
-from zeno_orbits.model import (
-    CompiledSystem,
-    HybridDynamics,
-    HybridLagrangian,
-    bind,
-    compile_system,
-    hybrid_system,
-    no_drive,
-)
+from zeno_orbits import HybridLagrangian, hybrid_system, no_drive
+from zeno_orbits.model import CompiledSystem, HybridDynamics, bind, compile_system
 
 Symbols = Mapping[str, ca.SX]
 

@@ -20,9 +20,10 @@ import pytest
 import zeno_orbits as zo
 from tests.support.mechanisms import machine_of
 from tests.support.orbits import event_orbit
+from zeno_orbits import StateLimit
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Automatic, Segment, SegmentResult, Tolerance
-from zeno_orbits.model import GraphDynamics, HybridDynamics, StateLimit, load_problem
+from zeno_orbits.model import GraphDynamics, HybridDynamics, load_problem
 from zeno_orbits.model.modes import GraphMode
 from zeno_orbits.simulation import TailEstimate, ZenoExtrapolation, ZenoLimit
 from zeno_orbits.verification import CHECKS, OrbitCertificate, VerificationSettings

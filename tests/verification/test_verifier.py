@@ -20,17 +20,11 @@ from tests.reference.reference_orbit import MULTIPLIER, PERIOD
 from tests.reference.shaken_truth import DIGITS, Table, throw
 from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
+from zeno_orbits import StateLimit, hybrid_system
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import Automatic, Segment, SegmentResult, Tolerance
-from zeno_orbits.model import (
-    CompletedSystem,
-    HybridDynamics,
-    Problem,
-    StateLimit,
-    hybrid_system,
-    load_problem,
-)
+from zeno_orbits.model import CompletedSystem, HybridDynamics, Problem, load_problem
 from zeno_orbits.orbits import Orbit, OrbitImpact, PhaseKind
 from zeno_orbits.search import orbit_at_gains, orbit_by_shooting
 from zeno_orbits.simulation import (

@@ -5,8 +5,8 @@ given keep their defaults. Functions of an orbit find its problem by its name, a
 overrides it. Work of more than a second shows its progress in terminals and notebooks.
 ``on_progress=`` receives it instead. The command line calls these functions and prints.
 
-Offers: `simulate`, `find_orbit`, `search_gains`, `verify`, `prove`, `continue_orbit`,
-`parameter_map`, `compare`, `identify`, `simulate_rig`, `plot` and the others of ``__init__.pyi``.
+Offers: `find_orbit`, `search_gains`, `verify`, `prove`, `continue_orbit`, `compare`,
+`simulate_rig` and the others of ``__init__.pyi``.
 
 Imports: report, experiment, precision, continuation, maps, search, proof, verification, orbits,
 simulation, loop, model, integrators, work, arrays, errors.

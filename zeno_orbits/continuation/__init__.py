@@ -7,8 +7,7 @@ followed in a second parameter (`two_parameters`).
 Offers: `family_of_orbit` and `family_of_impacts`, which return a `Continuation` of `Family`; how to
 follow: `SecondParameter`, `ContinuationSettings`, `FamilySteps`, `CurveSteps`, `WorkerPool`
 (workers); `start_orbit` and `clip_to_box`; `orbit_amplitude` of a point of a family;
-`held_families`, the `HeldFamilies` of `HeldPoint`s that a feedback of least effort (`effort_of`)
-keeps.
+`held_families`, the `HeldFamilies` of `HeldPoint`s that a feedback of least effort keeps.
 
 Imports: search, maps, orbits, simulation, model, work, arrays, errors.
 

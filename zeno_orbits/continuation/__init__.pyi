@@ -13,7 +13,6 @@ from .families import SpecialPointKind as SpecialPointKind
 from .families import SpecialPoint as SpecialPoint
 from .held import HeldFamilies as HeldFamilies
 from .held import HeldPoint as HeldPoint
-from .held import effort_of as effort_of
 from .held import held_families as held_families
 from .parallel import WorkerPool as WorkerPool
 from .setup import ContinuationSettings as ContinuationSettings

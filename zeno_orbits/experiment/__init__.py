@@ -1,10 +1,10 @@
 """Compare a real machine with an orbit: recordings, comparison, identification, and a virtual rig.
 
 Offers: for recordings `Recording` of `RecordedSignal`s with a `Source`, `read_recording`,
-`write_recording`, `sampled`. `compare_recording` returns a `Comparison` of `Metric`s.
+`sampled`. `compare_recording` returns a `Comparison` of `Metric`s.
 `fit_parameters` returns an `Identification` of `FitParameter`s or raises `UnfittableError`.
 `fit_transient_parameters` does the same for transients, `transient_reason` decides between the two,
-`compare_transients` returns a `TransientComparison`, and `laws_of` compares `LAWS` of impact on
+`compare_transients` returns a `TransientComparison`, and `laws_of` compares laws of impact on
 transients: a `LawComparison`, a `LawFit` each.
 `run_rig` and `settle_rig` simulate a problem as a machine without a Zeno point, with `RigSettings`.
 

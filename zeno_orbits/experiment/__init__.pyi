@@ -19,7 +19,6 @@ from .identification.unknowns import FitParameter as FitParameter
 from .orbit_table import OrbitTable as OrbitTable
 from .orbit_table import PeriodTable as PeriodTable
 from .orbit_table import measurable as measurable
-from .orbit_table import tabulate_events as tabulate_events
 from .orbit_table import tabulate_orbit as tabulate_orbit
 from .recordings.columns import Column as Column
 from .recordings.columns import ColumnNotes as ColumnNotes
@@ -33,7 +32,6 @@ from .recordings.recording import Recording as Recording
 from .recordings.recording import Source as Source
 from .recordings.recording import crop_recording as crop_recording
 from .recordings.recording import read_recording as read_recording
-from .recordings.recording import write_recording as write_recording
 from .recordings.sampling import Sampling as Sampling
 from .recordings.sampling import sampled as sampled
 from .rig.cycle_comparison import RigComparison as RigComparison
@@ -53,11 +51,9 @@ from .rig.simulator import run_rig as run_rig
 from .transients.decision import transient_reason as transient_reason
 from .transients.event_record import EVENT_FAMILIES as EVENT_FAMILIES
 from .transients.event_record import read_event_file as read_event_file
-from .transients.impact_laws import LAWS as LAWS
 from .transients.impact_laws import LawComparison as LawComparison
 from .transients.impact_laws import LawFit as LawFit
 from .transients.impact_laws import laws_of as laws_of
-from .transients.residual_tests import ResidualTests as ResidualTests
 from .transients.second_clock import SecondFile as SecondFile
 from .transients.transient_comparison import FlightDeviation as FlightDeviation
 from .transients.transient_comparison import ImpactDeviation as ImpactDeviation

@@ -5,7 +5,7 @@ an `AttractorClass`; `attractors_at` for any list of numbers; `read_map`, `write
 `read_boundaries`; `largest_pushes` of an orbit: the `Pushes`, each a `Push`, by `PushSettings`; the
 `least_push` of them, in the `push_units` of a direction; `recovery_of` an orbit: a `Recovery`, by
 `RecoverySettings`; `read_pushes` and `read_recovery`; `feedback_of` a return map: a `Feedback`
-once per period, with its `HeldMotion` and the `LoopCorner`s of uncertain parameters; `scatter_of`
+once per period, with the `LoopCorner`s of uncertain parameters; `scatter_of`
 an orbit: a `Scatter` of `ScatterRow`s, by `ScatterSettings`.
 
 Imports: orbits, simulation, loop, model, integrators, work, arrays, errors.

@@ -9,7 +9,6 @@ from .disturbance_files import read_recovery as read_recovery
 from .disturbance_files import require_pushes_of as require_pushes_of
 from .disturbance_files import require_recovery_of as require_recovery_of
 from .feedback import Feedback as Feedback
-from .feedback import HeldMotion as HeldMotion
 from .feedback import feedback_of as feedback_of
 from .map_file import read_boundaries as read_boundaries
 from .map_file import read_map as read_map

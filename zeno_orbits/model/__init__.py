@@ -7,8 +7,8 @@ files, and `validation` rejects inconsistent models.
 
 Offers: `load_problem`, `locate_problem`, `bundled_problems`, and a `Problem` of `Quantity`s with
 its `ParameterValues`. Functions: the `HybridDynamics` and the `CompiledSystem` of a problem, the
-`CharacteristicScales` of its quantities and its `own_time`. Parts of a model: `CompletedSystem`,
-`hybrid_system`, `HybridLagrangian`, `Clock`, `MotorBank`, the drives, and the parts of a `Rig`.
+`CharacteristicScales` of its quantities and its `own_time`. Parts of a model: `CompletedSystem`
+and the parts of a `Rig`.
 
 Imports: integrators, work, arrays, errors.
 """

@@ -1,4 +1,3 @@
-from .clock import Clock as Clock
 from .drives.circuits import Drive as Drive
 from .contact import impact_speed as impact_speed
 from .contact import ContactQuantities as ContactQuantities
@@ -9,12 +8,6 @@ from .contact import ImpactLaw as ImpactLaw
 from .contact import MULTIPLIER as MULTIPLIER
 from .contact import MULTIPLIER_RATE as MULTIPLIER_RATE
 from .contact import require_zeno_points as require_zeno_points
-from .drives.drives import corrected_drive as corrected_drive
-from .drives.drives import full_drive as full_drive
-from .drives.drives import ideal_torque_drive as ideal_torque_drive
-from .drives.drives import no_drive as no_drive
-from .drives.drives import quasi_static_drive as quasi_static_drive
-from .power_signs import EnergySource as EnergySource
 from .power_signs import energy_sources as energy_sources
 from .formulas import acceleration_formula as acceleration_formula
 from .formulas import six_digits as six_digits
@@ -24,12 +17,9 @@ from .held_inputs import held_file as held_file
 from .held_inputs import with_held_inputs as with_held_inputs
 from .hybrid import CompletedSystem as CompletedSystem
 from .hybrid import accelerate as accelerate
-from .graph import hybrid_system as hybrid_system
-from .graph import graph_of_one_stop as graph_of_one_stop
 from .graph import system_of_stop as system_of_stop
 from .modes import GraphMode as GraphMode
 from .modes import ModeGraph as ModeGraph
-from .lagrangian import HybridLagrangian as HybridLagrangian
 from .library import ProblemFile as ProblemFile
 from .library import RecordedFile as RecordedFile
 from .library import bundled_problems as bundled_problems
@@ -37,11 +27,9 @@ from .library import load_problem as load_problem
 from .library import load_reference as load_reference
 from .library import locate_problem as locate_problem
 from .library import recorded_problem as recorded_problem
-from .drives.motors import MotorBank as MotorBank
 from .drives.records import Record as Record
 from .drives.records import record as record
 from .numeric.admission import inside_stop as inside_stop
-from .numeric.admission import require_admissible as require_admissible
 from .numeric.admission import require_start as require_start
 from .numeric.calls import Call as Call
 from .numeric.columns import Columns as Columns
@@ -67,7 +55,6 @@ from .numeric.own_scale import START_OFF as START_OFF
 from .numeric.own_scale import constraint_sizes as constraint_sizes
 from .numeric.own_scale import own_time as own_time
 from .problem import Problem as Problem
-from .declared.quantities import StateLimit as StateLimit
 from .declared.quantities import ParameterValues as ParameterValues
 from .declared.quantities import Quantity as Quantity
 from .declared.quantities import unknown as unknown
@@ -76,7 +63,6 @@ from .declared.rig_parts import Rig as Rig
 from .declared.rig_parts import PwmSettings as PwmSettings
 from .declared.rig_parts import Contact as Contact
 from .declared.rig_parts import Controller as Controller
-from .declared.rig_parts import Friction as Friction
 from .declared.rig_parts import Gear as Gear
 from .declared.rig_parts import PART_NAMES as PART_NAMES
 from .declared.rig_parts import Sensors as Sensors

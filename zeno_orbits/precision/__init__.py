@@ -4,7 +4,7 @@ An error is estimated with a second run at a looser tolerance. Trials of integra
 with a run at the tightest tolerance, which is confirmed by another integrator.
 
 Offers: `execution_to_accuracy` (an execution to a wanted accuracy), `execution_with_error`,
-`settings_for`, `execution_distance` (of two executions); `errors_of_reduced_models` (errors of
+`settings_for`; `errors_of_reduced_models` (errors of
 reduced models); `measure_work_precision`, `WorkPrecision`, `read_work_precision`.
 
 Imports: search, verification, orbits, simulation, loop, model, integrators, work, arrays,

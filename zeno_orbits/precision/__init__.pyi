@@ -4,7 +4,6 @@ from .accuracy import settings_for as settings_for
 from .accuracy import execution_to_accuracy as execution_to_accuracy
 from .accuracy import execution_with_error as execution_with_error
 from .accuracy import why_engine as why_engine
-from .landmark import execution_distance as execution_distance
 from .reduced_models import ReductionCost as ReductionCost
 from .reduced_models import errors_of_reduced_models as errors_of_reduced_models
 from .trials import QUICK as QUICK

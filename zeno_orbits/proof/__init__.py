@@ -11,9 +11,8 @@ orbits over an interval of one parameter, range by range.
 with the problem's hand-written model.
 
 Offers: `prove_orbit`, `Proof`, `ProofSettings`; `enclose_one_period`, `EnclosureSettings`,
-`PeriodEnclosure`; `check_proof`, `check_proof_of`,
-`ProofVerdict`; `prove_branch`, `BranchProof`, `BranchSettings`, `BranchEstimate`, `BranchEnd`,
-`ProvedRange`; `check_branch`, `is_branch`, `BranchVerdict`; `replay_proof`, `Replay`;
+`PeriodEnclosure`; `check_proof`, `check_proof_of`, `ProofVerdict`; `prove_branch`, `BranchProof`,
+`BranchEstimate`; `check_branch`, `is_branch`, `BranchVerdict`; `replay_proof`, `Replay`;
 `equilibrium_report`, Theorem 1 at a state, with an `EquilibriumReport` and a `ZenoNeighbourhood`.
 
 Imports: orbits, model, integrators, work, arrays, errors. Balls are python-flint's. Never

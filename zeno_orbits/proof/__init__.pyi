@@ -1,9 +1,6 @@
 from .branch import prove_branch as prove_branch
-from .branch_ranges import BranchSettings as BranchSettings
-from .branch_theorem import BranchEnd as BranchEnd
 from .branch_theorem import BranchEstimate as BranchEstimate
 from .branch_theorem import BranchProof as BranchProof
-from .branch_theorem import ProvedRange as ProvedRange
 from .checker.branch import check_branch as check_branch
 from .checker.branch import is_branch as is_branch
 from .checker.branch_verdict import BranchVerdict as BranchVerdict

@@ -5,9 +5,7 @@ check. `orbit_by_shooting` closes an orbit of any machine by simulation alone.
 
 Offers: `orbit_at_gains` and `search_orbits` (with `SearchSettings`, a `SearchResult` of `Candidate`
 orbits, `Verdict` for checks, `StartWorkers`), `orbit_by_shooting` and `settled_return`,
-`SearchMethod`, `orbit_by_program` (a `ProgramTask` to a `ProgramOrbit`), and the objectives:
-`NearestGains`, `TargetPeriod`, `TargetAmplitude`, `MinEnergy`, `MinPeak`, `MinSpectralRadius`,
-`MaxMargin`, `MaxPush`.
+`SearchMethod`, `orbit_by_program` (a `ProgramTask` to a `ProgramOrbit`), and the `Objective`.
 
 Imports: maps, verification, orbits, simulation, model, integrators, work, arrays, errors.
 """

@@ -2,7 +2,6 @@ from .attractor import AttractorKind as AttractorKind
 from .attractor import LOOK_BACK as LOOK_BACK
 from .attractor import Motion as Motion
 from .attractor import OSCILLATIONS as OSCILLATIONS
-from .attractor import PERIODS as PERIODS
 from .attractor import Repetition as Repetition
 from .attractor import STEADY as STEADY
 from .attractor import SectionReturn as SectionReturn
@@ -12,7 +11,6 @@ from .attractor import bounds_of as bounds_of
 from .attractor import changes as changes
 from .attractor import growth_of as growth_of
 from .attractor import has_left as has_left
-from .attractor import has_overflowed as has_overflowed
 from .attractor import is_still as is_still
 from .attractor import outcome_of as outcome_of
 from .attractor import repetitions as repetitions
@@ -41,10 +39,8 @@ from .derivatives.sensitivity import SaltationDerivative as SaltationDerivative
 from .derivatives.sensitivity import change_of as change_of
 from .pieces import Piece as Piece
 from .signals import Extent as Extent
-from .signals import Signal as Signal
 from .signals import extent_of as extent_of
 from .signals import Lows as Lows
-from .signals import Samples as Samples
 from .signals import lows_inside as lows_inside
 from .signals import samples_inside as samples_inside
 from .signals import peaks as peaks
@@ -75,7 +71,6 @@ from .interruptions import armed_at_start as armed_at_start
 from .interruptions import enters_by_switch as enters_by_switch
 from .interruptions import slides as slides
 from .settling import MotionLog as MotionLog
-from .settling import RepeatedCycle as RepeatedCycle
 from .settling import turns_in as turns_in
 from .settling import verdict as verdict
 from .settling import without_events as without_events

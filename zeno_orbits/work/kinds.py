@@ -106,8 +106,8 @@ class _Names(dict[str, Any]):
 
 @cache
 def _rooms() -> dict[str, str]:
-    """Return the room that offers each name."""
-    offering = dict[str, str]()
+    """Return the module that offers each name: the front door, or a room."""
+    offering = dict.fromkeys(zeno_orbits.__all__, "zeno_orbits")
     for found in iter_modules(zeno_orbits.__path__, "zeno_orbits."):
         for name in getattr(import_module(found.name), "__all__", ()) if found.ispkg else ():
             offering.setdefault(name, found.name)
