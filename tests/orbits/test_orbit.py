@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from tests.reference.reference_orbit import ORBIT_KEYS
 from tests.support.old_orbit_files import old_data
 from tests.support.orbits import changed
+from zeno_orbits import orbit_from_json, write_orbit
 from zeno_orbits.errors import InputError, OrbitFileError
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import (
@@ -25,12 +26,10 @@ from zeno_orbits.orbits import (
     OrbitPhase,
     PhaseKind,
     digest_of,
-    new_orbit,
-    orbit_from_json,
+    orbit_of_events,
     read_orbit,
     same_equations,
     sequence_of,
-    write_orbit,
 )
 from zeno_orbits.verification import OrbitCertificate, with_certificate
 
@@ -770,7 +769,8 @@ def test_an_orbit_of_several_stops_has_no_phases(tmp_path: Path) -> None:
 
 def test_a_new_orbit_is_unverified_and_knows_its_problem_and_packages(problem: Problem) -> None:
     values = problem.values(gains={"Kp": 3.0})
-    orbit = new_orbit(problem, values, period=1.5, phases=SMALL.phases)
+    orbit = orbit_of_events(problem, values, period=1.5, start_state={}, events=())
+    orbit = orbit.with_phases(SMALL.phases)
     assert (orbit.problem, orbit.period, orbit.phases) == (problem.name, 1.5, SMALL.phases)
     assert orbit.values(problem) == values
     assert orbit.gains["Kp"] == 3.0

@@ -10,18 +10,16 @@ import numpy as np
 
 import zeno_orbits as zo
 from tests.reference.closed_forms import StoppedOscillator
+from zeno_orbits import HybridLagrangian, hybrid_system, no_drive
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import (
     CompletedSystem,
     Drive,
     HybridDynamics,
-    HybridLagrangian,
     Problem,
     Quantity,
     bind,
     compile_system,
-    hybrid_system,
-    no_drive,
 )
 
 Numbers = Sequence[float] | Vector
@@ -198,15 +196,6 @@ def falling_away(acceleration: float) -> HybridDynamics:
     q, v = ca.SX.sym("q"), ca.SX.sym("v")
     mechanism = HybridLagrangian.from_energies(
         q=q, v=v, kinetic=v**2 / 2, potential=-acceleration * q, gap=q
-    )
-    return numeric(mechanism, restitution=0.5)
-
-
-def pushed_away(rate: float) -> HybridDynamics:
-    """Return a mass that is pushed off its stop the more, the farther it is: ``x'' = rate^2 x``."""
-    q, v = ca.SX.sym("q"), ca.SX.sym("v")
-    mechanism = HybridLagrangian.from_energies(
-        q=q, v=v, kinetic=v**2 / 2, potential=-((rate * q) ** 2) / 2, gap=q
     )
     return numeric(mechanism, restitution=0.5)
 

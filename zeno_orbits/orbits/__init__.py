@@ -6,7 +6,7 @@ with exact derivatives through every impact and the Zeno point. The section has 
 
 Offers: `event_return` (simulate one return), `closed_return` (solve for the orbit),
 `multipliers_of_return`; `Section`, `section_around`; `EventSequence` and its phases; `Orbit`,
-`new_orbit`, `read_orbit`, `write_orbit`; `Bound`; `follow_path` (predictor-corrector steps);
+`read_orbit`; `Bound`; `follow_path` (predictor-corrector steps);
 `relaxed_tolerance` (error estimates by a second run).
 
 Imports: simulation, model, integrators, work, arrays, errors.

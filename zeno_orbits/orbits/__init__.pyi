@@ -15,7 +15,6 @@ from .events.courses import EventCourse as EventCourse
 from .events.courses import course_signal_names as course_signal_names
 from .events.courses import has_source as has_source
 from .events.named_map import ReturnMap as ReturnMap
-from .events.named_map import ReturnSlopes as ReturnSlopes
 from .events.named_map import return_map_of as return_map_of
 from .events.margins import MarginKind as MarginKind
 from .events.margins import Margin as Margin
@@ -62,16 +61,12 @@ from .looser_run import extrapolated as extrapolated
 from .looser_run import relaxed_tolerance as relaxed_tolerance
 from .looser_run import relaxed_settings as relaxed_settings
 from .saddle import Saddle as Saddle
-from .saddle import nearest_saddle as nearest_saddle
 from .orbit import OrbitImpact as OrbitImpact
 from .orbit import OrbitPhase as OrbitPhase
 from .orbit import Orbit as Orbit
 from .orbit import OrbitEvent as OrbitEvent
 from .orbit import orbit_of_events as orbit_of_events
-from .orbit import new_orbit as new_orbit
-from .orbit_file import orbit_from_json as orbit_from_json
 from .orbit_file import read_orbit as read_orbit
-from .orbit_file import write_orbit as write_orbit
 from .path import PathStep as PathStep
 from .path import StepControl as StepControl
 from .path import StepError as StepError
@@ -85,7 +80,6 @@ from .section import REST_ROWS as REST_ROWS
 from .section import Section as Section
 from .section import project_to_section as project_to_section
 from .section import section_around as section_around
-from .stability import RECOVERED as RECOVERED
 from .stability import Multipliers as Multipliers
 from .stability import estimated_errors as estimated_errors
 from .stability import SlowDirection as SlowDirection

@@ -300,22 +300,6 @@ class Orbit(TableRepr):
         return problem.dynamics(values) if self.has_phases else problem.graph_dynamics(values)
 
 
-def new_orbit(
-    problem: Problem, values: ParameterValues, *, period: float, phases: Sequence[OrbitPhase]
-) -> Orbit:
-    """Return an orbit of one stop without a certificate, computed by this version.
-
-    Args:
-        problem: Its problem.
-        values: The problem's parameter values.
-        period: Period [s].
-        phases: Phases of a period.
-    """
-    return orbit_of_events(problem, values, period=period, start_state={}, events=()).with_phases(
-        phases
-    )
-
-
 def orbit_of_events(
     problem: Problem,
     values: ParameterValues,

@@ -12,7 +12,7 @@ checkpoints; `Progress` and `silent` for progress reports, `portion` for a step 
 compilation; `write_whole` and `without_collection` for files,
 `file_lock` for locks between processes; `to_plain` and `from_plain` between values and JSON;
 `versions` of the software; `checked`, `require_kinds` and `Checked` refuse arguments of a wrong
-kind; `enclosing_decimal`, `enclosing_ends`, `enclosing_disc`, `decimal_above` and `decimal_below`
+kind; `enclosing_decimal`, `enclosing_disc`, `decimal_above` and `decimal_below`
 for decimals that contain exact numbers, `enclosed_decimal` for those that lie in an interval,
 `decimal_between` for both, and `exact_decimal` for all digits.
 

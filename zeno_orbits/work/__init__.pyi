@@ -6,7 +6,6 @@ from .decimals import decimal_between as decimal_between
 from .decimals import enclosed_decimal as enclosed_decimal
 from .decimals import enclosing_decimal as enclosing_decimal
 from .decimals import enclosing_disc as enclosing_disc
-from .decimals import enclosing_ends as enclosing_ends
 from .decimals import exact_decimal as exact_decimal
 from .display import Columns as Columns
 from .display import TableRepr as TableRepr

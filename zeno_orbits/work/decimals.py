@@ -82,20 +82,6 @@ def decimal_between(low: Fraction, high: Fraction, lowest: Fraction, highest: Fr
         place -= 1
 
 
-def enclosing_ends(low: Fraction, high: Fraction) -> tuple[str, str]:
-    """Return two decimals between which an interval lies, to two digits of its width.
-
-    Args:
-        low: Lower end.
-        high: Upper end, not below the lower end.
-    """
-    place = _place(low, high)
-    if place is None:
-        return _exact_text(low), _exact_text(high)
-    unit = _power(place)
-    return _text(low // unit, place), _text(_ceiling(high / unit), place)
-
-
 def enclosing_disc(re: Fraction, im: Fraction, radius: Fraction) -> str:
     """Return a disc of the complex plane as ``re + im i +- radius`` that contains it.
 

@@ -95,11 +95,13 @@ def orbit_by_shooting(
     Args:
         problem: The problem.
         values: Values of its gains and parameters.
-        near: As for `settled_event_orbit`.
-        start: As for `settled_event_orbit`.
-        section: As for `settled_event_orbit`.
-        shape: As for `settled_event_orbit`.
-        until: As for `settled_event_orbit`.
+        near: A known orbit. It is followed to the values, and no motion is simulated.
+        start: State name to initial value, by default each start of the problem in turn.
+        section: Name of the event at which the period starts and ends, such as ``zeno knee``. By
+            default it is chosen.
+        shape: Phases of the period of a machine with the stop `stop`. The default is any.
+        until: Longest time to settle [s]. The default is 400 of the problem's slowest oscillations,
+            or longer for a motion whose returns converge.
         simulation: Engine and accuracy.
         on_progress: Called with the name of each stage at its beginning.
 
@@ -108,17 +110,25 @@ def orbit_by_shooting(
             section does not occur.
     """
     try:
-        found = _closed_at(
-            problem,
-            values,
-            near=near,
-            start=start,
-            section=section,
-            shape=shape,
-            until=until,
-            simulation=simulation,
-            on_progress=on_progress,
-        )
+        if near is None:
+            found = settled_return(
+                problem,
+                values,
+                starts=() if start is None else (start,),
+                section=section,
+                shape=shape,
+                until=until,
+                simulation=simulation,
+                on_progress=on_progress,
+            )
+        else:
+            require_no_other_start(start, section)
+            if shape is not None:
+                near.shape.agreed(shape)
+            found = return_near(
+                problem, values, near, simulation=simulation, on_progress=on_progress
+            )
+        found = _within_limits(problem, found)
     except SimulationError as error:
         return ShootingResult(orbit=None, detail=f"{error.reason.rstrip('.')}.")
     scale = largest_states(found.execution.arcs, found.differentiation.graph)
@@ -130,76 +140,27 @@ def settled_event_orbit(
     problem: Problem,
     values: ParameterValues,
     *,
-    near: Orbit | None = None,
     start: Mapping[str, float] | None = None,
-    section: str | None = None,
-    shape: EventSequence | None = None,
-    until: float | None = None,
-    simulation: SimulationSettings | None = None,
     on_progress: Progress = silent,
 ) -> Orbit:
-    """Return the orbit to which a motion settles, or that a known orbit becomes, not verified.
+    """Return the orbit to which a motion settles, not verified.
 
     Args:
         problem: The problem. The stop of a machine with one stop is named `stop`.
         values: Its parameter values.
-        near: A known orbit. It is followed to the values, and no motion is simulated.
-        start: State name to initial value, by default each start of the problem in turn.
-        section: Name of the event at which the period starts and ends, such as ``zeno knee``. By
-            default it is chosen.
-        shape: Phases of the period of a machine with the stop `stop`. The default is any.
-        until: Longest time to settle [s]. The default is 400 of the problem's slowest oscillations,
-            or longer for a motion whose returns converge.
-        simulation: Accuracy.
+        start: As for `orbit_by_shooting`.
         on_progress: Called with the stage.
 
     Raises:
         SimulationError: If no motion settles, or Newton's method does not converge.
-        InputError: If the section does not occur.
     """
-    found = _closed_at(
-        problem,
-        values,
-        near=near,
-        start=start,
-        section=section,
-        shape=shape,
-        until=until,
-        simulation=simulation,
-        on_progress=on_progress,
-    )
-    return event_orbit_of(problem, values, found)
+    starts = () if start is None else (start,)
+    found = settled_return(problem, values, starts=starts, on_progress=on_progress)
+    return event_orbit_of(problem, values, _within_limits(problem, found))
 
 
-def _closed_at(
-    problem: Problem,
-    values: ParameterValues,
-    *,
-    near: Orbit | None,
-    start: Mapping[str, float] | None,
-    section: str | None,
-    shape: EventSequence | None,
-    until: float | None,
-    simulation: SimulationSettings | None,
-    on_progress: Progress = silent,
-) -> EventReturn:
-    """Return the periodic return of `settled_event_orbit`, whose arguments it has."""
-    if near is None:
-        found = settled_return(
-            problem,
-            values,
-            starts=() if start is None else (start,),
-            section=section,
-            shape=shape,
-            until=until,
-            simulation=simulation,
-            on_progress=on_progress,
-        )
-    else:
-        require_no_other_start(start, section)
-        if shape is not None:
-            near.shape.agreed(shape)
-        found = return_near(problem, values, near, simulation=simulation, on_progress=on_progress)
+def _within_limits(problem: Problem, found: EventReturn) -> EventReturn:
+    """Return a periodic return, or raise `SimulationError` if it passes a limit of a state."""
     beyond = beyond_limits(problem, found.arcs)
     if beyond:
         raise SimulationError(beyond, time=found.period, state=tuple(found.start.tolist()))
