@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -87,6 +87,11 @@ def eigenvalues(matrix: Array) -> tuple[complex, ...]:
         rest = keeps @ rest @ keeps.T
     known = len(rest)
     return tuple(complex(value) if k < known else 0j for k, value in enumerate(values))
+
+
+def spectral_radius(values: Iterable[complex]) -> float:
+    """Return the largest modulus of eigenvalues, 0 without one."""
+    return float(max(map(abs, values), default=0.0))
 
 
 def eigenvalue_errors(values: Sequence[complex], others: Sequence[complex]) -> tuple[float, ...]:

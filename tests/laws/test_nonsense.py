@@ -333,6 +333,7 @@ METHODS: dict[Callable[[], Any], dict[str, dict[str, Callable[[], Any]]]] = {
         "vjp": {"x": lambda: returns().fixed_point, "weights": lambda: np.zeros(3)},
         "point": {"state": lambda: returns().state(returns().fixed_point)},
         "moves_section": {"name": lambda: "Kd"},
+        "size_of": {"name": lambda: "Kd"},
     },
     held: {
         "inputs_at": {"x": lambda: returns().fixed_point},

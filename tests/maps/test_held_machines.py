@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -182,6 +183,74 @@ def test_a_held_input_that_is_zero_leaves_the_multipliers_exact() -> None:
     assert stability.stable
     assert stability.error < 1e-6
     assert stability.values[0] == pytest.approx(found.multipliers[0], rel=1e-7)
+
+
+def _juggler(unit: float) -> tuple[zo.Problem, zo.Orbit]:
+    """Return the juggled ball with lengths in another unit, and its repelling orbit."""
+    known = zo.load_problem("table_juggler")
+    sizes = {"A": unit, "g": unit}
+    values = {"A": 0.015}
+    parameters = tuple(
+        replace(one, default=values.get(one.name, one.default) * sizes.get(one.name, 1.0))
+        for one in known.parameters
+    )
+    start = {"speed": 0.9131562646434344 * unit}
+    start |= {"cosine": 0.25365451795650656, "sine": 0.9672948803339385}
+    problem = replace(known, name="ball", parameters=parameters, starts=(start,))
+    return problem, zo.find_orbit_by_shooting(problem).unwrap()
+
+
+@pytest.mark.parametrize("unit", fast(1, [1e3, 1e-3, 1e6]))
+def test_a_held_input_that_is_zero_has_the_scale_of_its_law_in_any_unit(unit: float) -> None:
+    problem, orbit = _juggler(unit)
+    # Least squares do not depend on the unit: the gain is the one in metres.
+    si = zo.design_feedback(_juggler(1.0)[1], ["pull"], problem=_juggler(1.0)[0])
+    found = zo.design_feedback(orbit, ["pull"], problem=problem)
+    sizes = np.array([1.0 if one == "speed" else unit for one in si.returns.coordinates])
+    assert found.gain[0] / sizes == pytest.approx(si.gain[0], rel=1e-7)
+    placed = zo.design_feedback(
+        orbit, ["pull"], problem=problem, method="place", multipliers=[0.2, 0.1]
+    )
+    assert placed.multipliers == pytest.approx((0.2, 0.1), abs=1e-9)
+    machine = placed.machine()
+    held = zo.find_orbit_by_shooting(machine).unwrap()
+    values = zo.floquet_multipliers(held, problem=machine).values
+    assert values[:2] == pytest.approx((0.2, 0.1), abs=1e-8)
+    again = zo.return_map(held, problem=machine).multipliers
+    assert again[:3] == pytest.approx(values, abs=1e-11)
+    certificate = zo.verify(held, problem=machine)
+    assert certificate.passed, certificate.verdict()
+
+
+def test_an_input_without_effect_stays_without_one() -> None:
+    problem, orbit = _juggler(1.0)
+    with pytest.raises(InputError, match="`m` does not change the multiplier -2"):
+        zo.design_feedback(orbit, ["m"], problem=problem)
+
+
+def _top(p: Any) -> Any:
+    """Return the juggled ball with a switch at the top of its flight, which resets nothing."""
+    ball = zo.load_problem("table_juggler").model(p).bare
+    height, speed = ball.q, ball.v
+    top = zo.Switch(name="top", guard=speed, armed=height)
+    return zo.hybrid_system(ball, zo.no_drive(ball), p["restitution"], switches=[top])
+
+
+def test_a_machine_can_begin_that_is_set_at_a_switch_without_a_reset() -> None:
+    problem = replace(_juggler(1.0)[0], name="topped", model=_top)
+    orbit = zo.find_orbit_by_shooting(problem).unwrap()
+    found = zo.design_feedback(orbit, ["pull"], problem=problem, section="switch top")
+    machine = found.machine()
+    assert len(zo.simulate(machine, until=1.05 * orbit.period).impacts) == 1
+    held = zo.find_orbit_by_shooting(machine).unwrap()
+    values = np.array(zo.floquet_multipliers(held, problem=machine).values[:2])
+    assert values == pytest.approx(np.array(found.multipliers), abs=1e-8)
+
+
+def test_kinks_set_no_held_states() -> None:
+    found = zo.design_feedback(zo.find_orbit("hopper").unwrap(), ["a"], section="switch kink 1")
+    with pytest.raises(InputError, match="`section`: `switch kink 1` is a kink"):
+        found.machine()
 
 
 @pytest.mark.parametrize(

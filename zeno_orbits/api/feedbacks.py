@@ -26,7 +26,7 @@ def design_feedback(
     problem: Named | None = None,
     section: str | None = None,
     method: str = "lqr",
-    weight: float = 1e-3,
+    weight: float | None = None,
     multipliers: Sequence[float | complex] | None = None,
     delay: bool = False,
     uncertain: Mapping[str, tuple[float, float]] | None = None,
@@ -44,8 +44,9 @@ def design_feedback(
         method: ``lqr`` minimizes the sum of squares of inputs and states, ``place`` gives the loop
             `multipliers`, and ``deadbeat`` gives it multipliers zero. ``robust`` minimizes the
             largest spectral radius in the orbit and at all corners of `uncertain`.
-        weight: Cost of a state of its largest value per cost of an input of its own value, of
-            ``lqr``.
+        weight: Cost of a state of its largest value per cost of an input of its own size, of
+            ``lqr`` and ``robust``. The default is 1e-3. An input that is zero in the orbit has the
+            size that moves a return by the size of a coordinate.
         multipliers: Multipliers of the loop, of ``place``.
         delay: Apply the inputs one return after their measurement.
         uncertain: Name to range of uncertain parameters. The result has the loop at the corners of

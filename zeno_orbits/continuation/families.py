@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
+from zeno_orbits.arrays import spectral_radius
 from zeno_orbits.model import RecordedFile
 from zeno_orbits.work import Columns, TableRepr, by_name
 
@@ -93,7 +94,7 @@ class FamilyPoint:
     @property
     def spectral_radius(self) -> float:
         """Largest modulus of a multiplier."""
-        return max((abs(value) for value in self.multipliers), default=0.0)
+        return spectral_radius(self.multipliers)
 
     @property
     def stable(self) -> bool:

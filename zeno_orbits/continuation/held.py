@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
+from zeno_orbits.arrays import Vector, spectral_radius
 from zeno_orbits.continuation.families import Continuation, Family, FamilyPoint, finite_or_none
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.maps import Feedback, feedback_of
@@ -173,7 +173,7 @@ def _held_point(
         if abs(orbit.period - point.period) <= _ELSEWHERE * point.period:
             feedback = feedback_of(return_map_of(problem, orbit), names, weight=0.0)
             gain, effort = feedback.gain, effort_of(feedback)
-            radius = max(map(abs, feedback.multipliers), default=0.0)
+            radius = spectral_radius(feedback.multipliers)
         else:
             reason = "The motion from the state of the family leads to another orbit."
     except ZenoOrbitsError as error:

@@ -20,7 +20,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector, eigenvalues
+from zeno_orbits.arrays import Vector, eigenvalues, spectral_radius
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, corners_of
 from zeno_orbits.orbits import ReturnMap
@@ -61,7 +61,7 @@ class LoopCorner(ByValue):
     @property
     def spectral_radius(self) -> float:
         """Largest modulus of a multiplier, infinite without an orbit."""
-        return np.inf if self.lost else max(map(abs, self.multipliers), default=0.0)
+        return np.inf if self.lost else spectral_radius(self.multipliers)
 
     def as_json(self) -> dict[str, Any]:
         """Return the corner as plain data."""
@@ -123,7 +123,7 @@ class UncertainLoop:
     @property
     def _sizes(self) -> Vector:
         own = self.returns.sizes
-        return np.concatenate([own, input_sizes(self.centre)]) if self.delay else own
+        return np.concatenate([own, input_sizes(self.returns, self.inputs)]) if self.delay else own
 
     def corners(self, gain: Vector) -> tuple[LoopCorner, ...]:
         """Return the loop with a gain at each corner.
@@ -131,7 +131,7 @@ class UncertainLoop:
         Args:
             gain: Matrix `K`.
         """
-        d = len(self.returns.coordinates)
+        d, sizes = len(self.returns.coordinates), self._sizes
         found: list[LoopCorner] = []
         for corner in corners_of(self.uncertain):
             point = self._reached(gain, corner)
@@ -141,7 +141,9 @@ class UncertainLoop:
                     parameters=corner,
                     fixed_point=point.state[:d] if done else np.zeros(0),
                     inputs=point.step.used if done else np.zeros(0),
-                    multipliers=eigenvalues(point.step.by_state) if done else (),
+                    multipliers=(
+                        eigenvalues(point.step.by_state * sizes / sizes[:, None]) if done else ()
+                    ),
                     lost=point.why,
                 )
             )
@@ -243,13 +245,18 @@ class UncertainLoop:
         rest = {
             one: value
             for one, value in own.items()
-            if one not in problem.derived_from(list(corner), own)
+            if one not in problem.derived_from([one for one in corner if one in own], own)
         }
         # A value that was given in place of the derived one stays.
         derived = problem.values(gains=known.gains, parameters=rest).parameters
         kept = {one: value for one, value in own.items() if one in rest or derived[one] != value}
-        moved = {one: own[one] + part * (value - own[one]) for one, value in corner.items()}
-        return problem.values(gains=known.gains, parameters={**kept, **moved})
+        moved = {
+            one: known.number(one) + part * (value - known.number(one))
+            for one, value in corner.items()
+        }
+        gains = {**known.gains, **{k: v for k, v in moved.items() if k in known.gains}}
+        others = {k: v for k, v in moved.items() if k not in gains}
+        return problem.values(gains=gains, parameters={**kept, **others})
 
     def _stepped(self, gain: Vector, values: ParameterValues, state: Vector) -> _Step:
         """Return the next state of the loop, and its derivatives."""
@@ -301,13 +308,14 @@ def loop_derivatives(
     return kept, np.concatenate([np.zeros((d, m)), np.eye(m)])
 
 
-def input_sizes(centre: Vector) -> Vector:
-    """Return the sizes of inputs: their values in the orbit, 1 for an input that is zero.
+def input_sizes(returns: ReturnMap, inputs: Sequence[str]) -> Vector:
+    """Return the sizes of inputs, ``(m,)``.
 
     Args:
-        centre: The values, ``(m,)``.
+        returns: The return map of the orbit.
+        inputs: Names of the inputs.
     """
-    return np.where(centre != 0.0, np.abs(centre), 1.0)
+    return np.array([returns.size_of(name) for name in inputs])
 
 
 def _worst(points: Sequence[_Point]) -> float:
@@ -319,7 +327,7 @@ def _worst(points: Sequence[_Point]) -> float:
 
 
 def _radius(matrix: Vector) -> float:
-    return float(np.max(np.abs(np.linalg.eigvals(matrix)), initial=0.0))
+    return spectral_radius(np.linalg.eigvals(matrix))
 
 
 def _least(

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector, eigenvalues, finite_vector
+from zeno_orbits.arrays import Vector, eigenvalues, finite_vector, spectral_radius
 from zeno_orbits.errors import (
     InputError,
     SimulationError,
@@ -76,6 +76,8 @@ _MISSED = 1e-2
 """Distance of a multiplier of the loop from the wished one. Rounding spreads one that repeats."""
 _LOST = (SimulationError, SwitchingTimesError)
 """Ends of a motion: it does not return, or an input sets a switching time after the next one."""
+_WEIGHT = 1e-3
+"""Cost of a state per cost of an input."""
 _BACK = 1e-6
 """Distance from the orbit of a motion that has returned, in sizes."""
 
@@ -124,10 +126,10 @@ class Feedback(TableRepr):
 
     def __repr__(self) -> str:
         """Return one line: the inputs and the spectral radius without and with them."""
-        before = _radius(self.returns.multipliers)
+        before = spectral_radius(self.returns.multipliers)
         return (
             f"<Feedback of {self.returns.problem.name} by {', '.join(self.inputs)}: {self.method}, "
-            f"spectral_radius={before:.6g} -> {_radius(self.multipliers):.6g}>"
+            f"spectral_radius={before:.6g} -> {spectral_radius(self.multipliers):.6g}>"
         )
 
     def _columns(self) -> Columns:
@@ -150,22 +152,27 @@ class Feedback(TableRepr):
     @property
     def multipliers(self) -> tuple[complex, ...]:
         """Multipliers of the loop, the largest first."""
-        a, b = _loop(self.returns, self.inputs, self.delay)
-        return eigenvalues(a - b @ self.gain)
+        return eigenvalues(self.scaled_loop[0])
 
     @property
     def scaled_loop(self) -> tuple[Vector, Vector]:
         """Derivative of the loop, ``(n, n)``, and its matrix `K`, ``(m, n)``, relative to sizes."""
         a, b = _loop(self.returns, self.inputs, self.delay)
-        units = input_sizes(self.centre)
+        units = input_sizes(self.returns, self.inputs)
         sizes = np.concatenate([self.returns.sizes, units]) if self.delay else self.returns.sizes
-        loop = (a - b @ self.gain) * sizes / sizes[:, None]
-        return loop, self.gain * sizes / units[:, None]
+        loop = (a - b @ self._acting) * sizes / sizes[:, None]
+        return loop, self._acting * sizes / units[:, None]
+
+    @property
+    def _acting(self) -> Vector:
+        """Matrix `K` without the rows of inputs whose range is one value."""
+        low, high = np.array(self.limits).T
+        return self.gain * (low < high)[:, None]
 
     @property
     def stable(self) -> bool:
         """True if all multipliers of the loop are inside the unit circle."""
-        return _radius(self.multipliers) < 1.0
+        return spectral_radius(self.multipliers) < 1.0
 
     @property
     def worst(self) -> float:
@@ -173,13 +180,15 @@ class Feedback(TableRepr):
 
         It is infinite if the loop lacks an orbit at a corner.
         """
-        return max(_radius(self.multipliers), *(one.spectral_radius for one in self.corners), 0.0)
+        return max(
+            spectral_radius(self.multipliers), *(one.spectral_radius for one in self.corners), 0.0
+        )
 
     @property
     def worst_at(self) -> dict[str, float]:
         """Uncertain parameters of the worst corner, empty if the orbit itself is the worst."""
         for one in self.corners:
-            if one.spectral_radius == self.worst > _radius(self.multipliers):
+            if one.spectral_radius == self.worst > spectral_radius(self.multipliers):
                 return dict(one.parameters)
         return {}
 
@@ -221,7 +230,13 @@ class Feedback(TableRepr):
         if known.n_events != 1:
             raise InputError(
                 f"Argument `section`: `{known.event}` occurs {known.n_events} times in a period, "
-                "and the law is that of one of them. Take the section of another event."
+                "and the law is that of one of them. Take the section of another event "
+                "(`section` (--section))."
+            )
+        if known.is_kink:
+            raise InputError(
+                f"Argument `section`: `{known.event}` is a kink, which sets no states. Take the "
+                "section of another event (`section` (--section))."
             )
         values, start = known.values.numbers, known.start
         try:
@@ -287,8 +302,8 @@ class Feedback(TableRepr):
         """
         given, (loop, push) = self._errors(errors), self._noisy_loop()
         away = np.linalg.solve(np.eye(len(loop)) - loop, push @ given)
-        d, direct = len(given), self.gain[:, : len(given)]
-        acts = away[d:] if self.delay else -self.gain @ away - direct @ given
+        d, direct = len(given), self._acting[:, : len(given)]
+        acts = away[d:] if self.delay else -self._acting @ away - direct @ given
         return self._named([*away[:d].tolist(), *acts.tolist()])
 
     @checked
@@ -317,8 +332,8 @@ class Feedback(TableRepr):
         known = np.zeros(loop.shape)
         if d:
             known = np.asarray(solve_discrete_lyapunov(loop, push @ noise @ push.T))
-        direct = self.gain[:, :d]
-        acts = known[d:, d:] if self.delay else self.gain @ known @ self.gain.T
+        direct = self._acting[:, :d]
+        acts = known[d:, d:] if self.delay else self._acting @ known @ self._acting.T
         acts = acts if self.delay else acts + direct @ noise @ direct.T
         squares = np.concatenate([np.diag(known)[:d], np.diag(acts)])
         return self._named(np.sqrt(np.maximum(squares, 0.0)).tolist())
@@ -330,17 +345,17 @@ class Feedback(TableRepr):
             InputError: If the loop does not keep the orbit.
         """
         if not self.stable:
-            told = f"the loop does not keep the orbit (multiplier {self.multipliers[0]:.6g})"
+            told = f"the loop does not keep the orbit (multiplier {_shown(self.multipliers[0])})"
             raise InputError(f"Argument `errors`: {told}.")
         a, b = _loop(self.returns, self.inputs, self.delay)
-        return a - b @ self.gain, -b @ self.gain[:, : len(self.returns.coordinates)]
+        return a - b @ self._acting, -b @ self._acting[:, : len(self.returns.coordinates)]
 
     def _errors(self, errors: Mapping[str, float]) -> Vector:
         known, given = self.returns.coordinates, named_numbers("errors", errors)
         for name in given:
             if name not in known:
                 raise InputError(f"Argument `errors`: {not_known(name, known)}")
-        return np.array([finite_number(f"errors of {one}", given.get(one, 0.0)) for one in known])
+        return np.array([finite_number("errors", given.get(one, 0.0)) for one in known])
 
     def _named(self, values: Sequence[float]) -> dict[str, float]:
         """Return values of coordinates and inputs by name."""
@@ -459,10 +474,11 @@ class Feedback(TableRepr):
     def _comes_back(self, away: Vector, n: int) -> bool:
         """Return True if a disturbance decays."""
         centre, sizes = self.returns.fixed_point, self.returns.sizes
+        units = input_sizes(self.returns, self.inputs)
         try:
             for point, _, after, _ in islice(self._loop_from(centre + away), n):
                 off = float(np.max(np.abs(point - centre) / sizes))
-                acts = np.max(np.abs(after - self.centre) / input_sizes(self.centre))
+                acts = np.max(np.abs(after - self.centre) / units)
                 if max(off, float(acts)) < _BACK:
                     return True
         except _LOST:
@@ -500,7 +516,7 @@ def feedback_of(
     inputs: Inputs,
     *,
     method: str = "lqr",
-    weight: float = 1e-3,
+    weight: float | None = None,
     multipliers: Sequence[float | complex] | None = None,
     delay: bool = False,
     uncertain: Mapping[str, tuple[float, float]] | None = None,
@@ -516,8 +532,10 @@ def feedback_of(
             `multipliers`, and ``deadbeat`` gives it multipliers zero. ``robust`` minimizes the
             largest spectral radius in the orbit and at all corners of `uncertain`, from the gain of
             ``lqr`` on.
-        weight: Cost of a state of its largest value per cost of an input of its own value, of
-            ``lqr``. Without a cost, multipliers outside of the unit circle become their inverses.
+        weight: Cost of a state of its largest value per cost of an input of its own size, of
+            ``lqr`` and ``robust``. The default is 1e-3. Without a cost, multipliers outside of the
+            unit circle become their inverses. An input that is zero in the orbit has the size that
+            moves a return by the size of a coordinate.
         multipliers: Multipliers of the loop, of ``place``.
         delay: Apply the inputs one return after their measurement.
         uncertain: Name to range of uncertain parameters. Each method computes the loop at their
@@ -533,14 +551,14 @@ def feedback_of(
     box = _checked_ranges(returns, names, method, uncertain)
     a, b = _loop(returns, names, delay)
     centre = np.array([returns.values.number(name) for name in names])
-    units = input_sizes(centre)
+    units = input_sizes(returns, names)
     sizes = np.concatenate([returns.sizes, units]) if delay else returns.sizes
     scaled_a, scaled_b = a * sizes / sizes[:, None], b * units / sizes[:, None]
     known = eigenvalues(scaled_a)
     grip = np.array([_grip(scaled_a, scaled_b, mu) for mu in known])
     if method in ("lqr", "robust"):
         _require_grip(names, known, grip, 1.0)
-        scaled = _lqr(scaled_a, scaled_b, weight)
+        scaled = _lqr(scaled_a, scaled_b, _WEIGHT if weight is None else weight)
     else:
         _require_grip(names, known, grip, _NONE)
         scaled = _placed(scaled_a, scaled_b, multipliers)
@@ -586,7 +604,8 @@ def _checked_inputs(returns: ReturnMap, inputs: Inputs) -> tuple[str, ...]:
         if returns.moves_section(name):
             raise InputError(
                 f"Argument `inputs`: `{name}` moves the section `{returns.event}`, so a motion "
-                "leaves it when the value changes. Take the section of another event (`section`)."
+                "leaves it when the value changes. Take the section of another event (`section` "
+                "(--section))."
             )
     return names
 
@@ -609,21 +628,24 @@ def _checked_ranges(
     }
     if method == "robust" and not box:
         raise InputError("Argument `uncertain` is needed by the method `robust`.")
-    check_uncertain(box, returns.problem, {})
+    check_uncertain(box, returns.problem, {}, gains=True)
     require_orbit_inside(box, returns, inputs)
     return box
 
 
 def _require_method(
-    method: str, weight: float, multipliers: Sequence[float | complex] | None
+    method: str, weight: float | None, multipliers: Sequence[float | complex] | None
 ) -> None:
     if method not in METHODS:
         hint = did_you_mean(method, METHODS)
         raise InputError(
             f"Argument `method` must be one of {', '.join(METHODS)}, but it is `{method}`.{hint}"
         )
-    if not 0.0 <= weight < np.inf:
-        raise InputError(f"Argument `weight` must be at least 0, but it is {shown(weight)}.")
+    if weight is not None and method not in ("lqr", "robust"):
+        raise InputError("Argument `weight` belongs to the methods `lqr` and `robust`.")
+    if weight is not None and not 0.0 <= weight < np.inf:
+        wanted = "must be a finite number of at least 0"
+        raise InputError(f"Argument `weight` {wanted}, but it is {shown(weight)}.")
     if (multipliers is not None) != (method == "place"):
         wanted = "is needed by" if method == "place" else "belongs to"
         raise InputError(f"Argument `multipliers` {wanted} the method `place`.")
@@ -635,12 +657,19 @@ def _range_of(returns: ReturnMap, inputs: Inputs, name: str) -> tuple[float, flo
     given = inputs.get(name) if isinstance(inputs, Mapping) else None
     if given is not None:
         ends = number_range("inputs", given, name)
+        if not ends[0] <= ends[1]:
+            wanted = f"must have a range LOW:HIGH with LOW <= HIGH for `{name}`"
+            raise InputError(f"Argument `inputs` {wanted}, but it is {ends[0]:g}:{ends[1]:g}.")
         require_value_inside("inputs", name, value, ends)
         return ends
     problem = returns.problem
     one = next(one for one in (*problem.gains, *problem.parameters) if one.name == name)
     low, high = one.closed_range()
     return min(low, value), max(high, value)
+
+
+def _shown(mu: complex) -> str:
+    return f"{mu:.6g}" if mu.imag else f"{mu.real:.6g}"
 
 
 def _grip(a: Vector, b: Vector, mu: complex) -> float:
@@ -660,11 +689,11 @@ def _require_grip(
     """
     fixed = [mu for mu, size in zip(known, grip, strict=True) if abs(mu) >= least and size < _RANK]
     if fixed:
-        which = ", ".join(f"{mu.real:.6g}" if not mu.imag else f"{mu:.6g}" for mu in fixed)
+        which = ", ".join(map(_shown, fixed))
         said = " or ".join(f"`{name}`" for name in names)
         raise InputError(
             f"Argument `inputs`: {said} does not change the multiplier {which} of the orbit. Take "
-            "another input, or the section of another event (`section`)."
+            "another input, or the section of another event (`section` (--section))."
         )
 
 
@@ -677,8 +706,8 @@ def _require_reached(found: Sequence[complex], wished: Sequence[float | complex]
     for mu in found:
         if min(abs(mu - complex(one)) for one in (*wished, 0.0)) > _MISSED:
             raise InputError(
-                f"Argument `method`: no combination of the inputs changes the multiplier {mu:.6g} "
-                "and all others. Take the method `lqr`."
+                f"Argument `method`: no combination of the inputs changes the multiplier "
+                f"{_shown(mu)} and all others. Take the method `lqr`."
             )
 
 
@@ -754,7 +783,3 @@ def _checked_multipliers(wished: Sequence[float | complex], rank: int) -> Vector
     if np.max(np.abs(np.poly(target).imag), initial=0.0) > 1e-12:
         raise InputError("Argument `multipliers` must hold complex numbers in conjugate pairs.")
     return target
-
-
-def _radius(multipliers: Sequence[complex]) -> float:
-    return max((abs(one) for one in multipliers), default=0.0)

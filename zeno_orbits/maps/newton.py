@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector, eigenvalues
+from zeno_orbits.arrays import Vector, eigenvalues, spectral_radius
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.maps.approach import Accuracy
 from zeno_orbits.maps.attractors import Attractor
@@ -143,7 +143,7 @@ def fades(
                 graph, x, section=section, n_returns=1, guess=guess, settings=settings, mode=mode
             )
             _, slope = _linear(graph, found)
-            if not max(map(abs, eigenvalues(slope)), default=0.0) < 1.0:
+            if not spectral_radius(eigenvalues(slope)) < 1.0:
                 return False
             largest = np.maximum(largest, largest_states(found.execution.arcs, graph))
             before, guess = float(np.max(np.abs(x) / largest)), found.period

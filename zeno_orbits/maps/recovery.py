@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector, eigenvalues
+from zeno_orbits.arrays import Vector, eigenvalues, spectral_radius
 from zeno_orbits.errors import InputError, SimulationError, positive_number, shown
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import Problem
@@ -211,7 +211,7 @@ def recovery_of(
         wanted = f"must be closed, but a period ends {chart.drift:.1g} away from its start"
         raise InputError(f"Argument `orbit` {wanted}.")
     slope, directions = chart.slope, chart.section.lift
-    rate = max((abs(value) for value in eigenvalues(slope)), default=0.0)
+    rate = spectral_radius(eigenvalues(slope))
     if not rate < 1.0:
         reason = f"must be stable, but its spectral radius is {rate:.6g}"
         raise InputError(f"Argument `orbit` {reason}.")

@@ -27,7 +27,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector, eigenvalues
+from zeno_orbits.arrays import Vector, eigenvalues, spectral_radius
 from zeno_orbits.errors import InputError, SimulationError, finite_number, not_known, shown
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.maps.scattered_motion import LostError, ScatteredMotion, lasting_times
@@ -317,7 +317,7 @@ class _LinearModel:
     @property
     def radius(self) -> float:
         """Spectral radius of the return map."""
-        return max((abs(value) for value in eigenvalues(self.slope)), default=0.0)
+        return spectral_radius(eigenvalues(self.slope))
 
     def covariance(self) -> Vector:
         """Return the covariance of the section coordinates, ``(d, d)``."""

@@ -25,6 +25,8 @@ def check_uncertain(
     uncertain: Mapping[str, tuple[float, float]],
     problem: Problem,
     free: Mapping[str, tuple[float, float]],
+    *,
+    gains: bool = False,
 ) -> None:
     """Reject uncertain ranges without a meaning.
 
@@ -32,6 +34,7 @@ def check_uncertain(
         uncertain: Name to range of the uncertain parameters.
         problem: The problem.
         free: Name to range of the decision variables.
+        gains: Whether gains may be uncertain too.
 
     Raises:
         InputError: If there are too many ranges, a name is unknown or free, a range is empty, or a
@@ -40,8 +43,10 @@ def check_uncertain(
     if len(uncertain) > _MOST_UNCERTAIN:
         wanted = f"must have at most {_MOST_UNCERTAIN} ranges, but it has {len(uncertain)}"
         raise InputError(f"Argument `uncertain` {wanted}.")
-    known = tuple(one.name for one in problem.parameters)
+    known = problem.names if gains else tuple(one.name for one in problem.parameters)
     for name, (low, high) in uncertain.items():
+        if name in problem.names and name not in known:
+            raise InputError(f"Argument `uncertain` must name parameters, but `{name}` is a gain.")
         if name not in known:
             raise InputError(unknown("uncertain", name, known))
         if name in free:
@@ -51,7 +56,7 @@ def check_uncertain(
             raise InputError(f"Argument `uncertain` {wanted}, but it is {low:g}:{high:g}.")
     for corner in corners_of(uncertain):
         try:
-            problem.values(parameters=corner)
+            problem.values(numbers=corner)
         except InputError as error:
             if not str(error).startswith("Argument `parameters`"):
                 raise

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector, eigenvalue_errors
+from zeno_orbits.arrays import Vector, eigenvalue_errors, spectral_radius
 from zeno_orbits.errors import positive_number
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits.orbit import Orbit
@@ -65,7 +65,7 @@ class Multipliers(ByValue):
     @property
     def spectral_radius(self) -> float:
         """Largest modulus. If it is below one, the orbit is stable."""
-        return max((abs(value) for value in self.values), default=0.0)
+        return spectral_radius(self.values)
 
 
 def estimated_errors(
@@ -176,7 +176,7 @@ class Stability(TableRepr):
     @property
     def spectral_radius(self) -> float:
         """Largest modulus of a multiplier. If it is below one, the orbit is stable."""
-        return max((abs(value) for value in self.values), default=0.0)
+        return spectral_radius(self.values)
 
     @property
     def error(self) -> float:

@@ -52,7 +52,7 @@ def add_feedback(commands: Any) -> None:
         "--inputs",
         dest="inputs",
         type=read_input,
-        action="append",
+        action=Named,
         required=True,
         metavar="NAME[=LOW:HIGH]",
         help="gain or parameter that is held from return to return, and its range (repeatable)",
@@ -73,9 +73,9 @@ def add_feedback(commands: Any) -> None:
     parser.add_argument(
         "--weight",
         type=read_number,
-        default=1e-3,
         metavar="W",
-        help="with lqr: cost of a state of its largest value per input of its own (default: 1e-3)",
+        help="with lqr or robust: cost of a state of its largest value per input of its own "
+        "(default: 1e-3)",
     )
     parser.add_argument(
         "--multipliers",
@@ -104,8 +104,7 @@ def add_feedback(commands: Any) -> None:
         "--errors",
         dest="errors",
         type=read_named_number,
-        action="append",
-        default=[],
+        action=Named,
         metavar="NAME=VALUE",
         help="also compute how an error of this size in a coordinate's reading acts on the orbit: "
         "if it is constant, and if it is random with this standard deviation (repeatable)",
@@ -130,7 +129,7 @@ def _run_feedback(options: argparse.Namespace) -> int:
     with report.ProgressLine(options.interrupts.check) as progress:
         found = api.design_feedback(
             options.orbit,
-            dict(options.inputs),
+            options.inputs,
             problem=options.problem,
             section=options.section,
             method=options.method,
@@ -145,7 +144,7 @@ def _run_feedback(options: argparse.Namespace) -> int:
             for name in found.returns.coordinates
             if options.extent
         }
-    errors = dict(options.errors)
+    errors = options.errors
     acts = (found.offset(errors), found.scatter(errors)) if errors else None
     if options.machine is not None:
         found.machine(options.machine)

@@ -515,7 +515,13 @@ class GraphDynamics:
             system.further,
             partial(self._on_branch, stop) if compiled.graph.conditions else None,
             self.open_views,
+            self._after_resets,
         )
+
+    def _after_resets(self, x: Vector) -> list[tuple[Vector, Vector]]:
+        """Return the state after each declared reset, and its derivative by the state."""
+        found = [one(x, self.p) for one in self.compiled.reset_derivatives]
+        return [(after.full().ravel(), by_x.full()) for after, by_x, _ in found]
 
     def _on_branch(self, stop: int, x: Vector) -> HybridDynamics:
         """Return the system of a stop on the branch of the kinks at a state, all stops open."""

@@ -171,6 +171,7 @@ def own_scale(
     further: Sequence[int] = (),
     branch: Callable[[Vector], HybridDynamics] | None = None,
     stops: Sequence[HybridDynamics] = (),
+    resets: Callable[[Vector], Sequence[tuple[Vector, Vector]]] = lambda _: (),
 ) -> CharacteristicScales:
     """Return the characteristic scales of a problem, from its initial states.
 
@@ -184,6 +185,7 @@ def own_scale(
         branch: Function that returns the system on the branch of its kinks at a state. The default
             is the system itself, which is free of kinks.
         stops: The systems of all stops. The default is the system itself.
+        resets: Function that returns the state after each reset of states, and its derivative.
     """
     with np.errstate(all="ignore"):
         # A value that overflows gets the scale 1.
@@ -199,7 +201,9 @@ def own_scale(
             multiplier=_rounded(float(gap * pace * pace * inertia), _WIDE),
             sizes=(
                 *map(_rounded, reach.states.tolist()),
-                *_further_sizes(dynamics, states, further, float(time), branch),
+                *_further_sizes(
+                    dynamics, states, further, reach.states, float(time), branch, resets
+                ),
             ),
         )
 
@@ -208,15 +212,20 @@ def _further_sizes(
     dynamics: HybridDynamics,
     states: Vector,
     further: Sequence[int],
+    mechanism: Vector,
     time: float,
     branch: Callable[[Vector], HybridDynamics] | None,
+    resets: Callable[[Vector], Sequence[tuple[Vector, Vector]]],
 ) -> list[float]:
     r"""Return the scales of the states after the velocities, up to the last additional state.
 
-    Such a state has the scale :math:`\max(|z|, \min(|\dot z| T, |\dot z / \partial_z \dot z|))`.
+    Such a state has the scale :math:`\max(|z|, \min(|\dot z| T, |\dot z / \partial_z \dot z|))`. If
+    this is rounding beside :math:`\max(|R|, \sum_j |\partial R / \partial x_j|\, s_j)` of a reset
+    `R` that sets it, it has that scale.
     """
     first = 2 * dynamics.n_q
-    sizes = [1.0] * (max(further, default=first - 1) + 1 - first)
+    sizes = np.ones(max(states.shape[1], max(further, default=0) + 1))
+    sizes[:first] = _usable(mechanism)
     for k in further:
         found = 0.0
         for x in states:
@@ -224,8 +233,20 @@ def _further_sizes(
             rate, slope = flow.rate(x)[k], flow.jacobian(x)[k, k]
             way = min(abs(rate) * time, abs(rate / slope) if slope != 0.0 else math.inf)
             found = max(found, abs(float(x[k])), float(way))
-        sizes[k - first] = _rounded(found)
-    return sizes
+        sizes[k] = found
+    is_zero = any(sizes[k] <= _LEAST for k in further)
+    known = [one for x in states for one in resets(x)] if is_zero else []
+    # A state may be set from another one that is set.
+    for _ in further:
+        for k in further:
+            set_to = [
+                max(abs(after[k]), float(np.abs(by[k]) @ sizes))
+                for after, by in known
+                if np.any(by[k] != np.eye(1, len(by), k)[0])
+            ]
+            reach = float(np.max([one for one in set_to if math.isfinite(one)], initial=0.0))
+            sizes[k] = sizes[k] if sizes[k] > _ROUNDED * reach else reach
+    return [_rounded(size) for size in sizes[first : max(further, default=first - 1) + 1].tolist()]
 
 
 def _exact(starts: Sequence[Sequence[float]], n_q: int) -> Vector:

@@ -19,12 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector, eigenvalues, finite_vector
+from zeno_orbits.arrays import Vector, finite_vector, spectral_radius
 from zeno_orbits.errors import InputError, did_you_mean, finite_number, named_numbers, not_known
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits.events.return_map import (
     Surface,
     cause_at,
+    multipliers_of_return,
     on_surface,
     shift_at,
     surface_of,
@@ -49,6 +50,8 @@ _MOVES, _RANK = 1e-9, 1e-9
 conditions depend."""
 _ROUNDED = 1e-12
 """Part of the largest value of a state that is rounding."""
+_UNSURE = 0.1
+"""Relative change of a derivative with the tolerance above which it is rounding."""
 _CLOSED = 1e-6
 """Relative change over a period of an orbit that is closed."""
 
@@ -112,7 +115,7 @@ class ReturnMap(TableRepr):
 
     def __repr__(self) -> str:
         """Return one line: problem, section, coordinates and spectral radius."""
-        radius = max((abs(one) for one in self.multipliers), default=0.0)
+        radius = spectral_radius(self.multipliers)
         names = ", ".join(self.coordinates) or "none"
         return (
             f"<ReturnMap of {self.problem.name} at `{self.event}`: coordinates {names}, "
@@ -163,11 +166,29 @@ class ReturnMap(TableRepr):
         return names.count(self.event)
 
     @property
+    def is_kink(self) -> bool:
+        """True if the event of the section is a kink of a formula, which no switch declares."""
+        switch = self._surface.switch
+        return switch is not None and switch >= self._surface.graph.n_declared
+
+    @property
     def start(self) -> dict[str, float]:
-        """State of the orbit just after the event of the section, by name. Rounding is zero."""
-        after = self._surface.reset(self._centre)
-        scale = largest_states(self._return.execution.arcs, self._surface.graph)
-        after = np.where(np.abs(after) <= _ROUNDED * scale, 0.0, after)
+        """State of the orbit from which a motion can begin, by name. Rounding is zero.
+
+        It is the one just after the event of the section. If the event is a switch that would occur
+        there again, it is the middle of the longest flight.
+        """
+        arcs, after = self._return.execution.arcs, self._surface.reset(self._centre)
+        if self._surface.switch is not None and self._surface.occurs(after):
+            off = self._chart.normal @ self._surface.values(after)
+            if np.max(np.abs(off), initial=0.0) <= _MOVES:
+                flights = [arc for arc in arcs if not arc.closed] or arcs
+                longest = max(flights, key=lambda arc: arc.end_time - arc.start_time)
+                middle = (longest.start_time + longest.end_time) / 2
+                after = longest.states_at(np.array([middle]))[0]
+        after = np.where(
+            np.abs(after) <= _ROUNDED * largest_states(arcs, self._surface.graph), 0.0, after
+        )
         return dict(zip(self.problem.state_names, after.tolist(), strict=True))
 
     @checked
@@ -179,14 +200,43 @@ class ReturnMap(TableRepr):
         Args:
             name: Name of the gain or parameter.
         """
+        lift = self._lift(self._surface, self._centre, (self._place_of(name),))
+        scale = largest_states(self._return.execution.arcs, self._surface.graph)
+        return bool(np.max(np.abs(lift[:-1, -1]) * self.size_of(name) / scale) > _MOVES)
+
+    @checked
+    def size_of(self, name: str) -> float:
+        """Return the size of a gain or parameter: its value.
+
+        If this is zero, it is the change that moves the next return by the size of a coordinate.
+
+        Args:
+            name: Name of the gain or parameter.
+        """
+        place = self._place_of(name)
+        effects = np.concatenate([self.gain_jacobian, self.parameter_jacobian], axis=1)[:, place]
+        effect = float(np.max(np.abs(effects) / self.sizes, initial=0.0))
+        value = abs(self.values.number(name))
+        if value * effect > _ROUNDED or effect == 0.0:
+            return value or 1.0
+        # An effect that changes with the tolerance is rounding.
+        looser = self._slopes(
+            self.fixed_point, self.values, relaxed_settings(self.simulation), (place,)
+        )
+        other = np.concatenate([looser.gain_jacobian, looser.parameter_jacobian], axis=1)[:, 0]
+        changed = float(np.max(np.abs(effects - other) / self.sizes))
+        return 1.0 / effect if changed < _UNSURE * effect else value or 1.0
+
+    def _place_of(self, name: str) -> int:
+        """Return the index in ``p`` of a gain or parameter.
+
+        Raises:
+            InputError: If the name is unknown.
+        """
         names = (*self.gain_names, *self.parameter_names)
         if name not in names:
             raise InputError(f"Argument `name`: {not_known(name, names)}")
-        place = names.index(name)
-        lift = self._lift(self._surface, self._centre, (place,))
-        scale = largest_states(self._return.execution.arcs, self._surface.graph)
-        size = abs(self.values.number(name)) or 1.0
-        return bool(np.max(np.abs(lift[:-1, -1]) * size / scale) > _MOVES)
+        return names.index(name)
 
     @property
     def jacobian(self) -> Vector:
@@ -211,10 +261,11 @@ class ReturnMap(TableRepr):
         """
         return self._at_orbit.time_jacobian
 
-    @property
+    @cached_property
     def multipliers(self) -> tuple[complex, ...]:
-        """Eigenvalues of the derivative at the orbit, the largest first."""
-        return eigenvalues(self.jacobian)
+        """Eigenvalues of the derivative at the orbit, ``d`` numbers, the largest first."""
+        known = multipliers_of_return(self._surface.graph, self._return)
+        return (*known, *(0j,) * (len(self.coordinates) - len(known)))
 
     @cached_property
     def errors(self) -> Vector:
