@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -128,6 +129,31 @@ def test_with_a_window_the_law_acts_on_a_parabola_through_readings(n: int, tmp_p
     again = _after_contact(controller, exact, x, times, float(times[-1] + period))
     slope = rate + 0.05 + 6 * period / 2
     assert again == pytest.approx(KD - 0.636452854509964 * (slope - rate), abs=1e-10)
+
+
+@needs_compiler
+def test_with_a_window_the_clock_is_that_of_the_event(tmp_path: Path) -> None:
+    centre = {"distance": 0.0, "cosine": 0.2, "sine": -0.4}
+    machine = zo.hold_inputs(
+        "forced_oscillator",
+        inputs={"k": None},
+        at="release stop",
+        gain={"k": {"distance": 0.0, "cosine": 3.0, "sine": 5.0}},
+        centre=centre,
+    )
+    window, period, k = 0.02, 1e-3, machine.values().number("k")
+    names, omega = machine.state_names, machine.values().number("omega")
+    places = [names.index(one) for one in ("cosine", "sine")]
+    controller = Controller(machine, tmp_path, window=window, period=period)
+    x, held = np.array(machine.initial_state()), np.zeros(1)
+    for n in range(31):
+        time = 0.7 + n * period
+        x[places] = math.cos(omega * time), math.sin(omega * time)
+        held, _ = controller.step(time, x, [n < 30])
+    end = 0.7 + 29.5 * period
+    away = 3.0 * (math.cos(omega * end) - 0.2) + 5.0 * (math.sin(omega * end) + 0.4)
+    assert held[0] == pytest.approx(k - away, rel=1e-13)
+    assert abs(omega * period / 2 * 5.0) > 1e-4
 
 
 @needs_compiler

@@ -6,7 +6,8 @@ are those of the machine, operation by operation, so that all digits are equal.
 With a window, coordinates and rates at an event are those of a parabola through the readings of the
 present contact or flight (theory (6.5)). It is the sum of the polynomials 1, :math:`d` and
 :math:`d^2 - \beta d - \gamma` of the distance `d` from the mean time, which are orthogonal on the
-readings. A contact ends in the middle between its last reading and the next one.
+readings. A contact ends in the middle between its last reading and the next one, and the clock of
+a machine is turned back to this time.
 """
 
 from __future__ import annotations
@@ -48,6 +49,8 @@ class ExportedController:
         guards: ``(x, p) -> (guards, formulas armed)`` of the switches at which states are set.
         resets: ``(x, p) -> x`` after each of these switches.
         voltage: ``(x, p) -> voltages`` of all motors.
+        pace: ``(x, p) -> angular velocity`` of the clock, or the rate of a time. Zero without one.
+        n_clock: Number of states of the clock, which are the last ones.
         persists: Duration from which a contact persists [s].
         n_q: Number of coordinates.
         window: Time of readings through which a parabola is fitted at an event [s]. Zero takes the
@@ -65,6 +68,8 @@ class ExportedController:
     guards: ca.Function
     resets: Sequence[ca.Function]
     voltage: ca.Function
+    pace: ca.Function
+    n_clock: int
     persists: float
     n_q: int
     window: float = 0.0
@@ -113,7 +118,12 @@ def controller_of(
         if not cause and held and not ca.is_equal(reset[held], x[held], 1)
     ]
     if not setters and not own:
-        raise InputError(f"Argument `problem`: no event sets a held state of `{problem.name}`.")
+        raise InputError(
+            f"Argument `problem`: no event sets a held state of `{problem.name}`. "
+            "`feedback ORBIT --input NAME --machine FILE.py` writes a machine that has one."
+        )
+    turns = graph.mechanism.clock
+    clock = (ca.SX(0, 1), ca.SX(0, 1)) if turns is None else (turns.state, turns.rate)
     guards = ca.vertcat(*(ca.SX(graph.switches[k].guard) for k in own))
     armed = ca.vertcat(*(ca.SX(graph.switches[k].armed) for k in own))
     return ExportedController(
@@ -127,11 +137,21 @@ def controller_of(
         guards=dense_function("guards", [x, p], [ca.vertcat(guards, armed)]),
         resets=[compiled.resets[k] for k in own],
         voltage=dense_function("voltage", [x, p], [graph.drive.motor_voltage]),
+        pace=dense_function("pace", [x, p], [_pace(*clock)]),
+        n_clock=clock[0].numel(),
         persists=persists,
         n_q=compiled.n_q,
         window=window,
         period=period,
     )
+
+
+def _pace(state: ca.SX, rate: ca.SX) -> ca.SX:
+    """Return the angular velocity of a clock, or the rate of a time."""
+    if state.numel() < 2:
+        return ca.sum1(rate)
+    (cosine, sine), rates = ca.vertsplit(state), ca.vertsplit(rate)
+    return (cosine * rates[1] - sine * rates[0]) / (cosine**2 + sine**2)
 
 
 def controller_files(controller: ExportedController) -> dict[str, str]:
@@ -204,7 +224,8 @@ def _code(controller: ExportedController, stem: str) -> Iterator[str]:
     """Yield the parts of the C code of a controller."""
     n_x = len(controller.state_names)
     yield f'#include <math.h>\n#include <string.h>\n\n#include "{stem}_controller.h"\n\n'
-    yield f"enum {{ STATES = {n_x}, COORDINATES = {controller.n_q} }};\n\n"
+    sizes = f"STATES = {n_x}, COORDINATES = {controller.n_q}, CLOCK = {controller.n_clock}"
+    yield f"enum {{ {sizes} }};\n\n"
     yield f"static const double window = {c_number(controller.window)};    /* [s] */\n"
     yield c_array("static const double p[]", map(c_number, controller.values.tolist() or [0.0]))
     places = [str(k) for k in controller.held] or ["0"]
@@ -212,6 +233,7 @@ def _code(controller: ExportedController, stem: str) -> Iterator[str]:
     yield c_array("static const double first[]", map(c_number, controller.start.tolist() or [0.0]))
     yield "\n" + straight_line("voltage", tape_of(controller.voltage))
     yield straight_line("guards", tape_of(controller.guards))
+    yield straight_line("pace", tape_of(controller.pace))
     for k, reset in enumerate((*controller.setters.values(), *controller.resets)):
         yield straight_line(f"set_{k}", tape_of(reset))
     events = list(controller.setters)
@@ -299,12 +321,28 @@ static void estimate(const NAME_controller *c, double time, double *x) {
     }
 }
 
-static void set(NAME_controller *c, int event, double time, const double *sensors) {
+/* Turn the clock from its reading to another time. */
+static void turn(double ahead, double *x) {
+    double rate[1], cosine, sine, *const clock = x + STATES - CLOCK;
+    if (CLOCK == 0 || ahead == 0.0) return;
+    pace(x, rate);
+    if (CLOCK == 1) {
+        clock[0] += ahead * rate[0];
+        return;
+    }
+    cosine = clock[0], sine = clock[CLOCK - 1];
+    clock[0] = cosine * cos(ahead * rate[0]) - sine * sin(ahead * rate[0]);
+    clock[CLOCK - 1] = sine * cos(ahead * rate[0]) + cosine * sin(ahead * rate[0]);
+}
+
+/* Set states at an event, which may be before the time of the reading. */
+static void set(NAME_controller *c, int event, double time, double ahead, const double *sensors) {
     double x[STATES], z[STATES];
     int k;
     if (event < 0) return;
     joined(c, sensors, x);
-    estimate(c, time, x);
+    turn(ahead, x);
+    estimate(c, time + ahead, x);
     memcpy(z, x, sizeof z);
     set_by(event, x, z);
     for (k = 0; k < NAME_HELD; k++) c->held[k] = z[held_at[k]];
@@ -325,12 +363,12 @@ static void see_contacts(NAME_controller *c, double time, const double *sensors,
         if (contacts[k] && !c->touched[k]) c->since[k] = time;
         if (contacts[k] && !c->rested[k] && time - c->since[k] >= NAME_PERSISTS) {
             c->rested[k] = 1;
-            set(c, at_event[3 * k + 1], time, sensors);
+            set(c, at_event[3 * k + 1], time, 0.0, sensors);
         }
         if (!contacts[k] && c->touched[k]) {
-            const double end = NAME_READINGS ? (last + time) / 2 : time;
+            const double ahead = NAME_READINGS ? (last - time) / 2 : 0.0;
             if (!c->rested[k] || fits(c))
-                set(c, at_event[3 * k + (c->rested[k] ? 2 : 0)], end, sensors);
+                set(c, at_event[3 * k + (c->rested[k] ? 2 : 0)], time, ahead, sensors);
             c->rested[k] = 0;
         }
         c->touched[k] = contacts[k];
@@ -349,7 +387,7 @@ static void see_switches(NAME_controller *c, double time, const double *sensors)
     for (k = 0; k < NAME_SWITCHES; k++) {
         const int above = z[k] > 0.0;
         if (c->is_begun && c->above[k] && !above && z[NAME_SWITCHES + k] > 0.0)
-            set(c, FIRST_SWITCH + k, time, sensors);
+            set(c, FIRST_SWITCH + k, time, 0.0, sensors);
         c->above[k] = above;
     }
     c->is_begun = 1;

@@ -158,6 +158,11 @@ class _Follower:
         self._frictional = self._graph.compiled.graph.frictional
         self._dry_calls: dict[ca.Function, Call] = {}
         self._is_held = np.isin(np.arange(built.n_x), self._graph.compiled.graph.held)
+        # A controller knows the values that it holds, and the clock at an event that it dates.
+        dated = rig.sensors is not None and rig.sensors.window > 0.0
+        turns = self._graph.compiled.graph.mechanism.clock
+        n_clock = turns.state.numel() if dated and turns is not None else 0
+        self._is_known = self._is_held | (np.arange(built.n_x) >= built.n_x - n_clock)
         self._persists: dict[int, float] = {}
         self._rested: set[int] = set()
 
@@ -472,8 +477,7 @@ class _Follower:
         """Return the state after a reset of the state that the controller has measured."""
         x = self._y[: self._machine.n_x]
         measured = x if self._loop is None else self._loop.estimate(self._time, x)
-        # A controller knows the values that it holds.
-        return self._graph.after_switch(switch, np.where(self._is_held, x, measured))
+        return self._graph.after_switch(switch, np.where(self._is_known, x, measured))
 
     def _damping_number(self, stop: int, speed: float) -> float:
         """Return the damping number of a contact that begins at a speed."""
