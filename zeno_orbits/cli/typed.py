@@ -31,6 +31,8 @@ _ROOM_NAMES = {
 """Name of an argument in the package to the option that gives it."""
 _POSITIONALS = {"recording": "data"}
 """Name of an argument in the package to the word without an option that gives it."""
+_ORBITS = ("problem", "orbit", "target")
+"""Arguments that a command mostly takes without an option."""
 _KINDS = {"--start": "state", "--at": "state", "--set": "gain or parameter"}
 
 
@@ -63,6 +65,7 @@ def as_typed(message: str, words: Sequence[str], options: argparse.Namespace) ->
         or _option_of(about[1], words, options)
         or _option_of_name(about[1], words)
         or _positional(about[1], options)
+        or _left_out(about[1], options)
     )
     return f"{label}: {about[2]}" if label else message
 
@@ -82,6 +85,13 @@ def _positional(argument: str, options: argparse.Namespace) -> str:
     return ""
 
 
+def _left_out(argument: str, options: argparse.Namespace) -> str:
+    """Return the option of an argument that was left out, or no text."""
+    option = f"--{argument.replace('_', '-')}"
+    is_known = any(option in action.option_strings for action in options.parser.actions())
+    return option if is_known and argument not in _ORBITS else ""
+
+
 def _option_of_path(clause: str, words: Sequence[str], options: argparse.Namespace) -> str:
     """Return the option that gave the one path in a clause, as it was typed, or no text."""
     named = [
@@ -96,7 +106,7 @@ def _option_of_path(clause: str, words: Sequence[str], options: argparse.Namespa
 def _option_of(argument: str, words: Sequence[str], options: argparse.Namespace) -> str:
     """Return the option of an argument and its value as they were typed, or no text."""
     strings = _strings(argument, options)
-    if argument in ("problem", "orbit", "target") and not strings & set(words):
+    if argument in _ORBITS and not strings & set(words):
         return ""
     return _typed(strings, words)
 

@@ -351,10 +351,14 @@ def _problems_folder() -> Path:
 def _about_no_python(file: Path) -> str:
     """Return the message about a file that is not Python: it may be a result about a problem."""
     with suppress(ValueError, OSError):
-        named = read_object(file).get("problem") if file.suffix == ".json" else None
+        content = read_object(file) if file.suffix == ".json" else {}
+        named, recorded = content.get("problem"), content.get("problem_file")
         if isinstance(named, str):
             name = shortened(named)
-            return f"it is a result about the problem `{name}`. Give `{name}` in its place"
+            own = recorded if isinstance(recorded, str) else name
+            return (
+                f"it is a result about the problem `{name}`. Give `{shortened(own)}` in its place"
+            )
     return "it is not a Python file: a problem is a name of `problems` or a file `NAME.py`"
 
 

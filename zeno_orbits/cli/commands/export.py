@@ -50,7 +50,7 @@ def add_export(commands: Any) -> None:
     add_problem(parser)
     add_start(parser)
     more = ", of the example's execution (default: 10)"
-    add_shared(parser, "until", more, type=read_number, default=10.0)
+    add_shared(parser, "until", more, type=read_number)
     parser.add_argument(
         "--fmu",
         action="store_true",
@@ -109,6 +109,8 @@ def _run_export(options: argparse.Namespace) -> int:
         raise InputError("Argument `--input` must be left out with `--controller`.")
     if options.persists is not None and not options.controller:
         raise InputError("Argument `--persists` belongs to `--controller`, which is missing.")
+    if options.until is not None and options.controller:
+        raise InputError("Argument `--until` must be left out with `--controller`.")
     if options.window is not None and not options.controller:
         raise InputError("Argument `--window` belongs to `--controller`, which is missing.")
     _require_readings(options.window, options.period)
@@ -116,10 +118,11 @@ def _run_export(options: argparse.Namespace) -> int:
     values = values_of(problem, options)
     if options.controller:
         return _write_controller(problem, values, options)
-    if not options.until > 0.0:
-        message = f"must be a finite, positive number of seconds, but it is {options.until}"
+    until = 10.0 if options.until is None else options.until
+    if not until > 0.0:
+        message = f"must be a finite, positive number of seconds, but it is {until}"
         raise InputError(f"Argument `until` {message}.")
-    program, run = _exported(problem, values, options)
+    program, run = _exported(problem, values, options, until)
     warning = ""
     if options.fmu:
         files, warning = _unit(problem, program, run, options)
@@ -214,7 +217,7 @@ def _without_library(reason: str) -> str:
 
 
 def _exported(
-    problem: Problem, values: ParameterValues, options: argparse.Namespace
+    problem: Problem, values: ParameterValues, options: argparse.Namespace, until: float
 ) -> tuple[GraphProgram, ExportedRun]:
     """Return the formulas of a problem, and the values and names of its exported run.
 
@@ -227,9 +230,7 @@ def _exported(
     from zeno_orbits.simulation import SimulationTask, run_settings, whole_program
 
     graph = problem.graph_dynamics(values)
-    task = SimulationTask(
-        dynamics=graph, state=np.array(start_of(problem, options)), until=options.until
-    )
+    task = SimulationTask(dynamics=graph, state=np.array(start_of(problem, options)), until=until)
     program = whole_program(graph.compiled)
     if isinstance(program, str):
         reason = loop_trouble() or program
