@@ -230,3 +230,13 @@ def test_the_command_writes_the_controller_of_held_states_alone(tmp_path: Path) 
         assert refused.code == MISUSE
         assert told in refused.err
         assert not (tmp_path / "none").exists()
+
+
+def test_messages_of_the_export_have_a_remedy(tmp_path: Path) -> None:
+    words = ("--controller", "-o", str(tmp_path / "out"))
+    answer = ask("export", "motor_pendulum", *words)
+    assert answer.code == MISUSE
+    assert "`feedback ORBIT --input NAME --machine FILE.py` writes a machine" in answer.err
+    answer = ask("export", "sampled_pendulum", *words, "--until", "3")
+    assert (answer.code, "--until: must be left out" in answer.err) == (MISUSE, True)
+    assert not (tmp_path / "out").exists()

@@ -95,6 +95,18 @@ def test_a_switching_time_that_is_set_at_each_impact_holds_the_ball(
     assert gone.lost or np.max(np.abs(gone.points - found.returns.fixed_point)) > 0.1
 
 
+def test_a_gain_may_be_uncertain() -> None:
+    ends = (BALL.t2 - 1e-4, BALL.t2 + 1e-4)
+    found = zo.design_feedback(_orbit(), ["F"], problem=PROBLEM, uncertain={"t2": ends})
+    names = found.returns.coordinates
+    assert [corner.parameters["t2"] for corner in found.corners] == [*ends]
+    for corner in found.corners:
+        assert abs(corner.inputs[0] - BALL.F) > 1e-6 * abs(BALL.F)
+        ball = replace(BALL, t2=corner.parameters["t2"], F=float(corner.inputs[0]))
+        point = _of_point(corner.fixed_point, names)
+        assert [one.real for one in ball.after(*point)] == pytest.approx(point, abs=1e-9)
+
+
 def test_switching_times_out_of_order_lose_a_motion_with_the_reason() -> None:
     found = zo.design_feedback(_orbit(), {"t1": (-1.0, 1.0)}, problem=PROBLEM, method="deadbeat")
     far = found.returns.fixed_point.copy()

@@ -173,7 +173,10 @@ def test_gains_move_until_every_corner_has_an_orbit() -> None:
             ("--objective", "robustness", "--uncertain", "restitution=0.5:1.5"),
             "--uncertain restitution=0.5:1.5: must lie in [0, 1]",
         ),
-        (("--objective", "robustness", "--uncertain", "Kp=1:2"), "unknown name `Kp`. Known: L1"),
+        (
+            ("--objective", "robustness", "--uncertain", "Kp=1:2"),
+            "must name parameters, but `Kp` is a gain",
+        ),
         (
             ("--vary", "R=2:4", "--objective", "robustness", "--uncertain", "R=2:3"),
             "must not name the unknown `R`",
