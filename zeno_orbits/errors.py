@@ -325,6 +325,10 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     # In names of two letters, such as gains, one letter may be wrong.
     alike = 0.5 if len(name) < 4 else 0.6
     near = get_close_matches(name.casefold(), words, n=1, cutoff=alike)
+    if not near and len(name) > 2:
+        # A beginning that only one name has is that name.
+        near = [word for word in words if word.startswith(name.casefold())]
+        near = near if len(near) == 1 else []
     return f" Did you mean `{words[near[0]]}`?" if near else ""
 
 

@@ -45,6 +45,22 @@ REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
         ("simulate", "motor_pendulum", "--set", "Kp=2,5"),
         "--set: must have a number for `Kp`, but it is `2,5`. Write a decimal point: 2.5.",
     ),
+    "several names": (
+        ("simulate", "motor_pendulum", "--start", "theta1=1,theta2=2"),
+        "--start: must have a number for `theta1`, but it is `1,theta2=2`. Repeat the option",
+    ),
+    "range with a count": (
+        ("continue", "motor_pendulum", "--parameter", "restitution=0:0.5:3"),
+        "--parameter: must be NAME=LOW:HIGH, but it is `restitution=0:0.5:3`.",
+    ),
+    "beginning of a name": (
+        ("continue", "motor_pendulum", "--parameter", "rest=0:0.5"),
+        "unknown parameter `rest`. Did you mean `restitution`? Known: ",
+    ),
+    "several stops": (
+        ("zeno-condition", "clapper"),
+        "`clapper` has 2 stops, and the Zeno condition is computed for one. Run `simulate`",
+    ),
     "no count": ((*MAP[:-1], "Kd=-2:-1:0"), "--y: must have a COUNT of at least 2 points"),
     "two counts": ((*MAP[:-1], "Kd=-2:-1:4:5"), "--y: "),
     "spreadsheet": (

@@ -174,6 +174,12 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
         ("= -v", "= -nq.sin(v)", 8, 'or write `p["nq"]` for a declared parameter.'),
         ("import numpy as np", "PI = np.pi", 3, "`np` is not defined. Add `import numpy as np`."),
         ("= -v", "= -hybrid_system", 8, "is not defined. Write `zo.hybrid_system`."),
+        ("= -v", "= -round(v)", 8, "a formula holds `round` of the states, which jumps"),
+        ("= -v", "= -int(v)", 8, "such as `int(q)` or `range(q)`. Write the symbol."),
+        ("v**2", "v^2", 10, "Write `**` for a power."),
+        ('"m", 1.0, "kg"', '"m", 1,0, "kg"', 19, "`Quantity.positive` takes at most 4 values"),
+        ('{"q": 1.0}', '{"qq": 1.0}', 24, "but it names `qq`. Did you mean `q`?"),
+        ('amplitude_of="q"', 'amplitude_of="qq"', 25, "but it names `qq`. Did you mean `q`?"),
         ("= -v", "= -v + 1j", 8, "Write numbers and `ca.SX` symbols on both sides."),
         (
             *("model(p):", "model():", 23),

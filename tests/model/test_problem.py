@@ -73,6 +73,10 @@ def test_a_file_that_is_no_python_is_refused(tmp_path: Path) -> None:
         other.write_text(text, encoding="utf-8")
         with pytest.raises(ProblemFileError, match="it is not a Python file"):
             load_problem(other)
+    table = tmp_path / "run.csv"
+    table.write_text("time [s]\n", encoding="utf-8")
+    with pytest.raises(ProblemFileError, match=r"orbit first, and the recording after it"):
+        load_problem(table)
 
 
 def test_a_file_without_a_problem_is_refused(tmp_path: Path) -> None:

@@ -135,7 +135,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     ),
     "start off the clock": (
         *(FORCED, '{"cosine": 1.0}', '{"x": 1.0}'),
-        "Start 1 must keep the constraints.*cosine at 1",
+        'have `cosine` and `sine` on the unit circle.*Add its phase, such as `"cosine": 1.0`',
     ),
     "start of an unknown state": (
         *(FORCED, '{"cosine": 1.0}', '{"theta": 1.0}'),

@@ -84,6 +84,8 @@ def _number(text: str, wanted: str) -> float:
             message += ". An option such as `--vary` takes a range"
         if _COMMA.fullmatch(text):
             message += f". Write a decimal point: {text.replace(',', '.')}"
+        elif "," in text and "=" in text:
+            message += ". Repeat the option for each name"
         raise argparse.ArgumentTypeError(message) from None
 
 
@@ -231,7 +233,7 @@ def read_bound(text: str) -> tuple[str, zo.Bound]:
 def _ends(text: str, form: str) -> tuple[str, str, str]:
     name, sign, ends = text.partition("=")
     low, colon, high = ends.partition(":")
-    if not sign or not colon or not name:
+    if not sign or not colon or not name or ":" in high:
         raise argparse.ArgumentTypeError(f"must be {form}, but it is `{text}`")
     return name, low, high
 

@@ -144,8 +144,8 @@ def acceleration_formula(problem: Problem) -> Any:
         )
     if stops > 1:
         raise InputError(
-            f"Argument `problem`: `{problem.name}` has several stops, each with a condition of its "
-            "own, which is not available in this version."
+            f"Argument `problem`: `{problem.name}` has {stops} stops, and the Zeno condition is "
+            "computed for one. Run `simulate` with `--events` to see the Zeno points of each stop."
         )
     at_rest = _resting(system)
     states = dict(

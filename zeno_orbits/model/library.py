@@ -359,6 +359,11 @@ def _about_no_python(file: Path) -> str:
             return (
                 f"it is a result about the problem `{name}`. Give `{shortened(own)}` in its place"
             )
+    if file.suffix in (".csv", ".tsv", ".txt"):
+        return (
+            "it is not a Python file. Write the problem (a name or NAME.py) or the orbit first, "
+            "and the recording after it"
+        )
     return "it is not a Python file: a problem is a name of `problems` or a file `NAME.py`"
 
 

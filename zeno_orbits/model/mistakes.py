@@ -50,6 +50,10 @@ _USUAL_IMPORTS = {
 _IMPORTED = re.compile(r"cannot import name '(\w+)'")
 """Python's words about a name that a module lacks."""
 _SIGNS = {"==": ast.Eq, "!=": ast.NotEq}
+_ROUNDING = ("floor", "round", "rint")
+"""Functions of Python and NumPy whose formula holds `floor`."""
+_OPERATORS = {"^": "Write `**` for a power", "@": "Write `ca.mtimes(a, b)`"}
+"""Operators that formulas lack, and the remedy."""
 _IS_NUMERIC = re.compile(r"it is not finite$|appears nowhere")
 """Messages whose cause may be a numeric function of a symbol."""
 _TWO_SYMBOLS = {"SX", "MX"}
@@ -112,7 +116,11 @@ def account_of(error: BaseException, file: Path) -> tuple[str, int | None]:
     line = _line_of_argument(tree, text, _line_in_trace(error, file))
     jump = _JUMP.match(text)
     if jump is not None:
-        return text.removeprefix("Argument `model`: "), _only(_uses(tree, jump[1])) or line
+        text = text.removeprefix("Argument `model`: ")
+        for name in _ROUNDING if jump[1] == "floor" else (jump[1],):
+            if (used := _only(_uses(tree, name))) is not None:
+                return text.replace(f"`{jump[1]}`", f"`{name}`", 1), used
+        return text, line
     if _NO_TRUTH in text:
         return _CONDITION, line
     if set(re.findall(r"'(\w+)'", text)) >= _TWO_SYMBOLS:
@@ -177,15 +185,37 @@ def _about_python(error: BaseException, text: str) -> str:
         return _about_arguments(words[1].removesuffix(".__init__"), words[2], words[3], text)
     owner = re.match(r"(?:(\w+)\.)?(\w+)\(\) takes (?:from )?\d.* positional argument", text)
     if owner is not None:
-        word = owner[1] if owner[2] == "__init__" else owner[2]
-        first = next(iter(_arguments_of(word or "")), "name")
-        return f"`{word}` takes named arguments alone. Write `{word}({first}=..., ...)`"
+        return _about_positions(owner[1] or "", owner[2], text)
     if re.match(r"'(SX|MX|float|int)' object is not callable", text):
         remedy = "Write `*` before its parenthesis, or leave out `()`"
         return f"a formula or number is called (`{text}`). {remedy}"
     if "unsupported operand" in text:
-        return f"{text}. Write numbers and `ca.SX` symbols on both sides"
+        sign = re.search(r"for (\S+?):", text)
+        remedy = "Write numbers and `ca.SX` symbols on both sides"
+        return f"{text}. {_OPERATORS.get(sign[1], remedy) if sign else remedy}"
+    if "to_int not defined" in text:
+        return "a whole number of a symbol, such as `int(q)` or `range(q)`. Write the symbol"
     return f"{type(error).__name__}: {text}"
+
+
+def _about_positions(owner: str, function: str, text: str) -> str:
+    """Return the message about a call with more values without a name than it takes.
+
+    Args:
+        owner: The class, or an empty text.
+        function: The function or method.
+        text: The message of Python, which counts the values with the object or class itself.
+    """
+    counts = re.search(r"(\d+) positional arguments? but (\d+)", text)
+    word = owner if function == "__init__" else ".".join(filter(None, (owner, function)))
+    most, given = (int(counts[k]) - bool(owner) for k in (1, 2)) if counts else (0, 0)
+    if most > 0:
+        return (
+            f"`{word}` takes at most {most} values without a name, and {given} are given. Name "
+            "the others, and write a decimal point, as in `1.5`"
+        )
+    first = next(iter(_arguments_of(word)), "name")
+    return f"`{word}` takes named arguments alone. Write `{word}({first}=..., ...)`"
 
 
 def _remedy_of_name(name: str) -> str:
@@ -275,8 +305,8 @@ def _uses(tree: ast.AST, operation: str) -> list[int]:
         for node in ast.walk(tree)
         if (
             isinstance(node, ast.Call)
-            and isinstance(node.func, ast.Attribute)
-            and node.func.attr == operation
+            and operation
+            and operation in (getattr(node.func, "attr", ""), getattr(node.func, "id", ""))
         )
         or (isinstance(node, ast.Compare) and sign and isinstance(node.ops[0], sign))
     ]

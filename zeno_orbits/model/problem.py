@@ -18,7 +18,13 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector, finite_vector
-from zeno_orbits.errors import InputError, finite_number, named_numbers, number_range
+from zeno_orbits.errors import (
+    InputError,
+    did_you_mean,
+    finite_number,
+    named_numbers,
+    number_range,
+)
 from zeno_orbits.model.acceleration import accelerate
 from zeno_orbits.model.contact import require_zeno_points
 from zeno_orbits.model.declared.drawing import DrawingFunction, lines_of
@@ -807,7 +813,7 @@ def _require_states(problem: Problem) -> None:
         if named not in states:
             known = ", ".join(states)
             message = f"must name states ({known}), but it names `{named}`"
-            raise InputError(f"Argument `{argument}` {message}.")
+            raise InputError(f"Argument `{argument}` {message}.{did_you_mean(named, states)}")
 
 
 def _chosen(

@@ -323,9 +323,15 @@ def _require_admissible(
         )
     off = dynamics.holonomic(x)
     if np.any(np.abs(off) > _OFF * constraint_sizes(dynamics, x, reach.sizes(len(x)))):
+        clock = [dynamics.state_names[k] for k in dynamics.clock]
+        if clock and abs(float(np.hypot(*x[list(dynamics.clock)])) - 1.0) > _OFF:
+            raise ValueError(
+                f"Start {number} must have {' and '.join(f'`{name}`' for name in clock)} on the "
+                f'unit circle of the clock. Add its phase, such as `"{clock[0]}": 1.0`.'
+            )
         raise ValueError(
-            f"Start {number} must keep the constraints, but it is off by "
-            f"{float(np.max(np.abs(off))):.3g}. A clock may start with its cosine at 1."
+            f"Start {number} must satisfy the holonomic constraints, but it violates them by "
+            f"{float(np.max(np.abs(off))):.3g}. Change the start."
         )
 
 

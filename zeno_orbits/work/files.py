@@ -132,6 +132,8 @@ def read_json(path: Path, *, most: int = MOST_BYTES, constants: bool = False) ->
     except _ContentError:
         raise
     except (ValueError, RecursionError) as error:
+        if getattr(error, "pos", 1) == 0:
+            raise ValueError("it is not JSON") from error
         raise ValueError(f"it is not complete JSON ({error})") from error
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, cast
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, finite_number, named_numbers, shown
+from zeno_orbits.errors import InputError, did_you_mean, finite_number, named_numbers, shown
 from zeno_orbits.model.declared.quantities import unknown
 
 StartFormula = Callable[[Mapping[str, float]], float]
@@ -50,6 +50,7 @@ def require_starts(starts: Any, states: Collection[str]) -> None:
                 known = ", ".join(states)
                 raise InputError(
                     f"Argument `starts` must name states ({known}), but it names `{name}`."
+                    f"{did_you_mean(name, states)}"
                 )
 
 
