@@ -257,7 +257,7 @@ _NO_SCALE: Mapping[str, str] = {
     "step": "its scale depends on the machine; write a length or an angle",
     "lsb": "its scale depends on the converter; write the quantity that it stands for",
     "bit": "its scale depends on the converter; write the quantity that it stands for",
-    "raw": "its scale is known to the instrument alone; write the quantity that it stands for",
+    "raw": "its scale depends on the instrument. Write the unit of the quantity",
 }
 
 
