@@ -76,7 +76,7 @@ def test_a_large_map_compiles_its_formulas_first_and_is_the_file_of_their_tapes(
     for chosen, is_compiled in (("use", True), ("tape", False)):
         cache = tmp_path / chosen
         variables = {"ZENO_ORBITS_LOOP": chosen, "ZENO_ORBITS_CACHE": str(cache)}
-        made.append(map_file(tmp_path, (*words, "--grid", "64x64"), workers=2, **variables))
+        made.append(map_file(tmp_path, (*words, "--grid", "16x16"), workers=2, **variables))
         assert bool(list(cache.rglob("formulas_*"))) is is_compiled
     assert made[0] == made[1]
 

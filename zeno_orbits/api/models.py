@@ -34,7 +34,7 @@ def compile_problem(problem: Named) -> None:
     """Compile the formulas of a problem into the cache of this machine.
 
     Executions take about a third less time, with identical results. Later runs and other processes
-    find the compiled formulas automatically. A compilation takes a few seconds.
+    find the compiled formulas automatically. A compilation takes about a second.
 
     Args:
         problem: The problem, its name or its file.

@@ -63,7 +63,14 @@ class ProblemType(ctypes.Structure):
         ("scheme", _address),
         ("graph", _address),
         ("formulas", _count),
+        ("code", _address),
     ]
+
+
+class CodeType(ctypes.Structure):
+    """Compiled formulas: ``zl_code``."""
+
+    _fields_ = [("one", _address), ("lanes", _address)]
 
 
 class SideType(ctypes.Structure):

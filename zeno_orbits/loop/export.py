@@ -144,7 +144,7 @@ class _Arrays:
         inside = ",\n        ".join(tapes)
         return (
             f"{{\n    {counts},\n    {{\n        {inside}\n    }},\n    &scheme,\n    {graph},\n"
-            f"    {problem.formulas}\n}}"
+            f"    {problem.formulas},\n    0\n}}"
         )
 
     def graph(self, program: GraphProgram) -> str:

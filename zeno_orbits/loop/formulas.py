@@ -1,7 +1,6 @@
 """The formulas of a machine as C, in the order of their tapes, so that all digits are equal.
 
-A library compiled with them serves only this machine. Otherwise it is identical to the library of
-the loop, and each library can continue a run of the other library.
+They are compiled alone, in a fraction of a second. The library of the loop calls them.
 """
 
 from __future__ import annotations
@@ -17,21 +16,24 @@ from zeno_orbits.loop import binding as c
 from zeno_orbits.loop.source import HERE, whole_source
 from zeno_orbits.loop.tape import Tape
 
-FILE = "formulas.c"
+FILE, CODE = "formulas.c", "code.c"
 
 _OPERATION = re.compile(r"^ +ONE\((?P<name>OP_\w+), (?P<formula>.+)\) *\\?$", re.MULTILINE)
 _WORD = re.compile(r"\b[xyw]\b")
 _CALL = re.compile(r"[a-z]\w*\(")
+_LOOKUP = re.compile(r"\b(cell_of|cell_of_turn|number_of_cell)\(")
 
 
 def machine_source(n_x: int, views: Mapping[int, Sequence[Tape]]) -> str:
-    """Return the C code of the library with the formulas of one machine.
+    """Return the C code of the formulas of one machine, without the loop.
 
     Args:
         n_x: Number of states.
         views: The formulas of each view in the order of `loop.h`, by its `view_number`.
     """
-    return whole_source(skipped={FILE: formulas_source(n_x, views)})
+    text = formulas_source(n_x, views)
+    places = {FILE: text} if _LOOKUP.search(text) else {FILE: text, "lookup.c": ""}
+    return whole_source(CODE, places)
 
 
 def formulas_source(n_x: int, views: Mapping[int, Sequence[Tape]]) -> str:
@@ -71,7 +73,7 @@ def formulas_digest(n_x: int, tapes: Sequence[Tape]) -> str:
         n_x: Number of states.
         tapes: The formulas.
     """
-    digest = hashlib.sha256(Path(__file__).read_bytes())
+    digest = hashlib.sha256(Path(__file__).read_bytes() + (HERE / CODE).read_bytes())
     for tape in tapes:
         counts = (n_x, tape.n_varying, tape.n_parameters, tape.n_registers, tape.n_once)
         digest.update(repr((counts, tape.code.shape, tape.outputs.shape)).encode())
@@ -93,8 +95,10 @@ _UNUSED = "    (void)tables, (void)r, (void)v;\n"
 
 def _choice(name: str, stem: str, views: Mapping[int, Iterable[int]]) -> str:
     """Return the function that selects one of several functions by view and index."""
-    text = [f"static int {name}(long long view, int tape, {_ARGUMENTS}) {{\n"]
-    text.append("    switch (view) {\n")
+    arguments = "const zl_problem *problem, int tape, const double *r, const double *v, double *z"
+    text = [f"static int {name}({arguments}) {{\n"]
+    text.append("    const double *const *tables = problem->tapes[tape].tables;\n")
+    text.append("    switch (problem->formulas) {\n")
     for number, places in views.items():
         text.append(f"    case {number}LL:\n        switch (tape) {{\n")
         text += [

@@ -95,7 +95,7 @@ class GraphProgram(TapedProblem):
         """
         for view, program in views.items():
             self.views[view] = program
-            self._place(view, self._tapes_library.zl_room(program.address))
+            self._place(view, self.library.zl_room(program.address))
         for side, mode in sides.items():
             bounds = Tape.empty() if mode.bounded is None else tape_of(mode.bounded)
             value = tape_of(mode.guard)
@@ -104,7 +104,19 @@ class GraphProgram(TapedProblem):
         if self.only_view is None and len(self.views) == len(views) == 1:
             # The first view, by which the machine is found in the cache.
             self.load(self._digest)
+        elif self._compiled is not None:
+            self.use(self._compiled)
         self._tabulate()
+
+    def use(self, compiled: Any) -> None:
+        """Use compiled formulas for all views.
+
+        Args:
+            compiled: Their library, or ``None`` to leave each view as it is.
+        """
+        self._compiled = compiled
+        for program in self.views.values() if compiled is not None else ():
+            program.use(compiled)
 
     def give_back(self, memory: Any) -> None:
         """Take back memory of a run, unless the tables have grown since."""
@@ -128,13 +140,13 @@ class GraphProgram(TapedProblem):
         )
 
     @property
-    def library(self) -> Any:
-        """The library that carries out the formulas: compiled for the only view, or any."""
+    def is_compiled(self) -> bool:
+        """True if the formulas are compiled. The digits are equal either way."""
         only = self.only_view
-        return super().library if only is None else only.library
+        return super().is_compiled if only is None else only.is_compiled
 
     def compile(self, views: Iterable[Program]) -> None:
-        """Compile formulas of views now and use them from the next run.
+        """Compile formulas of views now and use them from now on.
 
         Args:
             views: The formulas, usually of all modes.

@@ -2,9 +2,9 @@
 
 A single library serves all problems. A source tree, which holds no library, takes the library of an
 installed package of the same digest. A second library may contain the compiled formulas of a single
-problem, which is faster and gives the same digits. A process that builds a library holds a lock,
-and the library is created by renaming, so two processes that start at once do not conflict. Without
-a compiler the library is missing, and the plain Python simulator is used.
+problem, which the first one calls: that is faster and gives the same digits. A process that builds
+a library holds a lock, and the library is created by renaming, so two processes that start at once
+do not conflict. Without a compiler the library is missing, and the plain Python simulator is used.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def may_have_formulas() -> bool:
 
 
 def compiled_library(digest: str) -> Any:
-    """Return the library with the formulas of one problem, or ``None`` if it is not in the cache.
+    """Return the library of the formulas of one problem, or ``None`` if it is not in the cache.
 
     Args:
         digest: Digest of the formulas.
@@ -106,13 +106,13 @@ def compiled_library(digest: str) -> Any:
         if compiler is None:
             return None
         path = library_folder().find(_formulas_key(digest, compiler))
-        return None if path is None else declared(ctypes.CDLL(str(path)))
+        return None if path is None else ctypes.CDLL(str(path))
     except (KernelError, OSError):
         return None
 
 
 def compile_library(digest: str, source: Callable[[], str]) -> None:
-    """Compile the library with the formulas of one problem into the cache, unless it exists.
+    """Compile the library of the formulas of one problem into the cache, unless it exists.
 
     Args:
         digest: Digest of the formulas.
@@ -254,7 +254,7 @@ def _require_exact(path: Path) -> None:
     near = 1.0 + 2.0**-30
     numbers = (math.nan, math.inf, sys.float_info.min, 1.0, 1e300, near, near * near, math.sin(1.0))
     try:
-        fault = declared(ctypes.CDLL(str(path))).zl_fault((ctypes.c_double * 8)(*numbers))
+        fault = ctypes.CDLL(str(path)).zl_fault((ctypes.c_double * 8)(*numbers))
     except (OSError, AttributeError) as error:
         raise KernelError(f"the compiled library cannot be loaded ({error})") from error
     if fault:

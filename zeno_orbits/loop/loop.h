@@ -60,15 +60,26 @@ typedef struct {
 } zl_scheme;
 
 typedef struct zl_graph zl_graph;
+typedef struct zl_problem zl_problem;
 
+/* Write what a formula of a view gives, nothing for one without outputs; 0 if it is not there. */
+typedef int zl_formula(const zl_problem *problem, int tape, const double *registers,
+                       const double *varying, double *outputs);
+
+/* Formulas that are compiled: of a state; the rate of a mode for rows of lanes. */
 typedef struct {
+    zl_formula *one, *lanes;
+} zl_code;
+
+struct zl_problem {
     long long n_x, n_q, n_p;
     long long carried[ZL_MODES]; /* the guard of a mode is a state, beside its formula */
     zl_tape tapes[ZL_TAPES];
     const zl_scheme *scheme;
     const zl_graph *graph; /* the views of a run, one of which it may be itself */
-    long long formulas;    /* of a view: the number by which a library with its formulas knows it */
-} zl_problem;
+    long long formulas;    /* of a view: the number by which code of its formulas knows it */
+    const zl_code *code;   /* its formulas, none where they are in the library or interpreted */
+};
 
 /* The guard of a switch on one side of it, positive there, along the flow of a mode. */
 typedef struct {

@@ -45,7 +45,8 @@ class TapedProblem:
             carried: For each mode, whether the guard is a state in addition to its formula.
             sizes: Numbers of states, coordinates and parameters.
         """
-        self._tapes_library = library
+        self.library = library
+        self._code = c.CodeType()
         self._compiled: Any = None
         self.n_x, self.n_q, self.n_p = sizes
         self.tapes = tuple(tapes)
@@ -55,6 +56,7 @@ class TapedProblem:
             fill_tape(self.problem.tapes[k], tape)
         self._scheme = scheme()
         self.problem.scheme = ctypes.addressof(self._scheme)
+        self.problem.code = ctypes.addressof(self._code)
         self.address = ctypes.addressof(self.problem)
         self._alone = _Alone(library, self.address)
         self.problem.graph = ctypes.addressof(self._alone.table)
@@ -63,25 +65,31 @@ class TapedProblem:
         self._rooms: list[_StepRoom] = []
 
     @property
-    def library(self) -> Any:
-        """The library compiled for the formulas, or else the one that interprets any formulas."""
-        return self._compiled or self._tapes_library
-
-    @property
     def is_compiled(self) -> bool:
         """True if the formulas are compiled. The digits are equal either way."""
-        return self.library is not self._tapes_library
+        return self._compiled is not None
 
     def load(self, digest: str) -> None:
-        """Use compiled formulas from the next run, if they are in the cache.
+        """Use compiled formulas from now on, if they are in the cache.
 
         Args:
             digest: Digest of the formulas.
         """
-        self._compiled = compiled_library(digest)
+        self.use(compiled_library(digest))
+
+    def use(self, compiled: Any) -> None:
+        """Use compiled formulas from now on, also in runs that have begun.
+
+        Args:
+            compiled: Their library, or ``None`` for the tapes.
+        """
+        self._compiled = compiled
+        for name in ("one", "lanes"):
+            code: Any = None if compiled is None else getattr(compiled, f"zl_{name}")
+            setattr(self._code, name, code and ctypes.cast(code, ctypes.c_void_p).value)
 
     def compile_views(self, digest: str, views: Iterable[TapedProblem]) -> None:
-        """Compile the formulas of views now and use them from the next run.
+        """Compile the formulas of views now and use them from now on.
 
         Args:
             digest: Digest of the formulas, by which they are found.
@@ -197,7 +205,7 @@ class Program(TapedProblem):
         return {View((), 0, ()): self}
 
     def compile(self) -> None:
-        """Compile the formulas now and use them from the next run.
+        """Compile the formulas now and use them from now on.
 
         Raises:
             KernelError: If the compilation fails. The message contains the reason.

@@ -189,11 +189,9 @@ static Machine machine_of(const zl_problem *problem, zl_run *run, zl_records *re
 }
 
 static void evaluate_at(const Machine *m, int tape, const double *varying, double *outputs) {
-    const long long view = m->problem->formulas;
-    const zl_tape *one = &m->problem->tapes[tape];
-    if (!KNOWN_STATES ||
-        !compiled_formula(view, tape, one->tables, m->registers[tape], varying, outputs))
-        tape_run(one, m->registers[tape], varying, outputs);
+    double *registers = m->registers[tape];
+    if (!compiled_formula(m->problem, tape, registers, varying, outputs))
+        tape_run(&m->problem->tapes[tape], registers, varying, outputs);
 }
 
 static double number_at(const Machine *m, int tape, const double *x) {

@@ -229,7 +229,6 @@ class LoopRun:
 
     @property
     def _library(self) -> Any:
-        # Formulas that are compiled in the middle of a run carry it on: digits are the same.
         return self._program.library
 
     def restart(self, x: Vector) -> None:

@@ -50,10 +50,7 @@ static void rate_at(const Machine *m, const double *y, double *rate) {
 static void rates_at(const Machine *m, const double *states, double *rates) {
     zl_run *run = m->run;
     const int mode = (int)run->leg.mode, tape = ZL_RATE + mode;
-    if (KNOWN_STATES &&
-        compiled_lanes(m->problem->formulas, tape, m->problem->tapes[tape].tables,
-                       m->registers[tape], states, rates))
-        return;
+    if (compiled_lanes(m->problem, tape, m->registers[tape], states, rates)) return;
     if (!m->ready->has_lanes[mode]) {
         tape_spread(&m->problem->tapes[tape], m->registers[tape], m->lanes[mode]);
         m->ready->has_lanes[mode] = 1;
