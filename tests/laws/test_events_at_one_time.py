@@ -18,6 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import zeno_orbits as zo
+from tests.reference.linear_masses import LinearMasses
 from tests.support.mechanisms import machine_of
 from zeno_orbits.errors import ChatterError
 from zeno_orbits.simulation import (
@@ -295,6 +296,84 @@ def test_a_flight_whose_top_is_below_the_tolerance_of_its_gap_has_not_landed(e: 
     run = zo.simulate(machine_of(model, states), until=2.0, start=start)
     expected = {f"s{k}": dragged_limit(height, mu, e) for k, height in enumerate(heights)}
     assert zeno_times(run) == pytest.approx(expected, abs=RESTED)
+
+
+DAMPED = [
+    (
+        LinearMasses(
+            inverse=np.diag([0.5, 0.7]),
+            damping=np.diag([2.0, 1.3]),
+            stiffness=np.diag([1.0, 2.0]),
+            weight=(13.0, 7.0),
+            restitutions=(0.53, 0.6),
+        ),
+        (1.0, 0.5042672597683924),
+        (1.4915281243591423, 1.491528127456069),
+    ),
+    (
+        LinearMasses(
+            inverse=np.diag([0.8, 0.5, 0.7]),
+            damping=np.array([[1.0, -0.4, 0.2], [-0.2, 0.6, 0.3], [0.0, 0.5, 0.5]]),
+            stiffness=np.diag([0.8, 1.4, 0.7]),
+            weight=(13.0, 15.0, 14.0),
+            restitutions=(0.62, 0.65),
+        ),
+        (1.0, 0.44996274705696687, 0.5),
+        (1.6395083530094323, 1.6395083613933288),
+    ),
+    (
+        LinearMasses(
+            inverse=np.diag([0.9, 0.5]),
+            damping=np.diag([0.3, 3.3]),
+            stiffness=np.diag([1.7, 1.8]),
+            weight=(18.0, 14.0),
+            restitutions=(0.7, 0.3),
+        ),
+        (1.0, 4.95596582760697),
+        (1.8430613958181576, 1.8430713956357099),
+    ),
+]
+"""Damped masses, heights from which two come to rest nearly at once, and when, by 45 digits."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("masses", "heights", "rests"), DAMPED)
+def test_the_times_of_rest_of_damped_masses_have_all_digits(
+    masses: LinearMasses, heights: Sequence[float], rests: Sequence[float]
+) -> None:
+    assert [float(one) for one in masses.rests(heights)] == pytest.approx(rests, abs=1e-15)
+
+
+@pytest.mark.parametrize(("masses", "heights", "rests"), DAMPED)
+def test_limits_under_forces_that_depend_on_gap_rates_are_within_their_error(
+    masses: LinearMasses, heights: Sequence[float], rests: Sequence[float]
+) -> None:
+    n = len(heights)
+
+    def model(_parameters: Mapping[str, ca.SX]) -> zo.CompletedSystem:
+        q, v = ca.SX.sym("q", n), ca.SX.sym("v", n)
+        mechanism = zo.HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.dot(v, ca.DM(np.linalg.inv(masses.inverse)) @ v) / 2,
+            potential=ca.dot(q, ca.DM(masses.stiffness) @ q) / 2 + ca.dot(q, ca.DM(masses.weight)),
+            passive_force=-ca.DM(masses.damping) @ v,
+            stops=tuple(
+                zo.Stop(name=f"s{k}", gap=q[k], restitution=e)
+                for k, e in enumerate(masses.restitutions)
+            ),
+        )
+        return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
+
+    states = {f"x{k}": "m" for k in range(n)} | {f"v{k}": "m/s" for k in range(n)}
+    start = {f"x{k}": height for k, height in enumerate(heights)}
+    run = zo.simulate(machine_of(model, states), until=max(rests) + 1e-3, start=start)
+    points = {event.stop: event for event in run.events if isinstance(event, ZenoPoint)}
+    for k, rest in enumerate(rests):
+        point = points[f"s{k}"]
+        stated = point.limit_error * (1 + rest)
+        assert abs(point.time - rest) < stated + RESTED
+        assert stated < 1e-8
 
 
 @pytest.mark.slow

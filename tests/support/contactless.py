@@ -18,6 +18,7 @@ from scipy.integrate import solve_ivp
 
 import zeno_orbits as zo
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import ZenoOrbitsError
 
 Q = zo.Quantity
 Motion = Callable[[Vector], Vector]
@@ -206,6 +207,8 @@ def _cyclic(
         rtol=1e-11,
         atol=1e-13,
     )
+    if not found.t_events[0].size:
+        raise ZenoOrbitsError("The motion does not come to its next cycle.")
     period = float(found.t_events[0][0])
 
     def motion(times: Vector, sol: Callable[[Vector], Vector]) -> Vector:

@@ -1534,10 +1534,12 @@ static int accumulate(Graph *g, long long stops, const double *lifts) {
     return fits;
 }
 
-/* The time to the Zeno point of each stop at a constant gap acceleration, the speed after its next
-   impact, and the error of the time by the rounding of the gap. The stop that the run looks at is struck now. The longest time is returned. */
+/* The time to the Zeno point of each stop at a constant gap acceleration, the speeds of its next
+   impact and after it, and the error of the time by the rounding of the gap. The stop that the run
+   looks at is struck now. The longest time is returned. */
 static double ways_to_rest(Graph *g, long long stops, const double *lifts, const double *x,
-                           double approach, double *ways, double *speeds, double *doubts) {
+                           double approach, double *ways, double *hits, double *speeds,
+                           double *doubts) {
     double longest = 0.0;
     int k;
     for (k = 0; k < g->whole->graph->n_stops; k++) {
@@ -1552,6 +1554,7 @@ static double ways_to_rest(Graph *g, long long stops, const double *lifts, const
             pair[1] = approach;
         }
         speed = sqrt(pair[1] * pair[1] - 2.0 * lifts[k] * pair[0]);
+        hits[k] = speed;
         speeds[k] = e * speed;
         if (settings_of(g, k)->varies) {
             const Machine m = view_at(g, g->m.run->graph.rest, g->m.run->graph.sides, k);
@@ -1578,6 +1581,51 @@ static void held_for(Graph *g, long long closed, const double *x, double time, d
     for (i = 0; i < n_x; i++) middle[i] = x[i] + time / 2.0 * rate[i];
     flow_at(g, closed, middle, rate);
     for (i = 0; i < n_x; i++) after[i] = x[i] + time * rate[i];
+}
+
+/* By how much the gap acceleration of each stop may change while stops bounce:
+   `ReferenceRun._changes_of_lift`. */
+static void changes_of_lift(Graph *g, long long stops, long long closed, const double *rested,
+                            const double *lifts, const double *hits, double *changes) {
+    const int n = (int)g->whole->graph->n_stops;
+    const long long n_x = g->whole->n_x;
+    double still[ZL_MOST], rate[ZL_MOST], given[ZL_MOST + 1], landed[3 * ZL_MOST + 2];
+    double states[2][ZL_MOST], at_rest[ZL_STOPS] = {0.0};
+    long long i;
+    int j, k, side, late;
+    flow_at(g, closed, rested, still);
+    for (k = 0; k < n; k++) {
+        changes[k] = 0.0;
+        if (stops & BIT(k)) {
+            const Machine m = view_at(g, g->m.run->graph.rest, g->m.run->graph.sides, k);
+            at_rest[k] = number_at(&m, ZL_LIFT, rested);
+        }
+    }
+    for (j = 0; j < n; j++) {
+        double most[ZL_STOPS] = {0.0};
+        if (!(stops & BIT(j))) continue;
+        {
+            const Machine m = view_at(g, g->m.run->graph.rest, g->m.run->graph.sides, j);
+            memcpy(given, rested, (size_t)n_x * sizeof(double));
+            given[n_x] = -hits[j];
+            evaluate_at(&m, ZL_LANDING, given, landed);
+        }
+        for (side = 1; side >= -1; side -= 2) {
+            for (i = 0; i < n_x; i++) states[0][i] = rested[i] + side * (landed[i] - rested[i]);
+            flow_at(g, closed, states[0], rate);
+            for (i = 0; i < n_x; i++)
+                states[1][i] = states[0][i] + 2.0 * hits[j] / -lifts[j] * (rate[i] - still[i]);
+            for (k = 0; k < n; k++) {
+                Machine m;
+                if (!(stops & BIT(k))) continue;
+                m = view_at(g, g->m.run->graph.rest, g->m.run->graph.sides, k);
+                for (late = 0; late < 2; late++)
+                    most[k] = greater(most[k],
+                                      fabs(number_at(&m, ZL_LIFT, states[late]) - at_rest[k]));
+            }
+        }
+        for (k = 0; k < n; k++) changes[k] += most[k];
+    }
 }
 
 /* Whether no guard beside closed stops has fallen at a state, and no kink jumps. */
@@ -1611,6 +1659,7 @@ static int limit_of_each(Graph *g, double time, const double *before, double app
     const size_t bytes = (size_t)g->whole->n_x * sizeof(double);
     double lifts[ZL_STOPS] = {0.0}, means[ZL_STOPS] = {0.0}, rough[ZL_STOPS] = {0.0};
     double ways[ZL_STOPS] = {0.0}, speeds[ZL_STOPS] = {0.0}, doubts[ZL_STOPS] = {0.0};
+    double hits[ZL_STOPS] = {0.0}, changes[ZL_STOPS] = {0.0};
     double rested[ZL_MOST], longest;
     long long stops = 0, closed, found, left;
     Limit limit;
@@ -1626,19 +1675,19 @@ static int limit_of_each(Graph *g, double time, const double *before, double app
             return GO_ON;
     closed = stops | graph->rest;
     if (require_apart(g, stops, graph->rest, time, before) != GO_ON) return GO_ON;
-    for (k = 0; k < n; k++)
-        if (stops & BIT(k)) {
-            const Machine m = view_at(g, graph->rest, graph->sides, k);
-            lifts[k] = number_at(&m, ZL_LIFT, before);
-        }
-    if (!accumulate(g, stops, lifts)) return GO_ON;
-    longest = ways_to_rest(g, stops, lifts, before, approach, rough, speeds, doubts);
     memcpy(rested, before, bytes);
     for (k = 0; k < n; k++)
         if (closed & BIT(k)) {
             const Machine m = holding(g, closed, k);
             to_stop(&m, rested, rested);
         }
+    for (k = 0; k < n; k++)
+        if (stops & BIT(k)) {
+            const Machine m = view_at(g, graph->rest, graph->sides, k);
+            lifts[k] = number_at(&m, ZL_LIFT, rested);
+        }
+    if (!accumulate(g, stops, lifts)) return GO_ON;
+    longest = ways_to_rest(g, stops, lifts, before, approach, rough, hits, speeds, doubts);
     held_for(g, closed, rested, longest, limit.state);
     for (k = 0; k < n; k++)
         if (stops & BIT(k)) {
@@ -1646,14 +1695,17 @@ static int limit_of_each(Graph *g, double time, const double *before, double app
             means[k] = (lifts[k] + number_at(&m, ZL_LIFT, limit.state)) / 2;
         }
     if (!accumulate(g, stops, means)) return GO_ON;
-    longest = ways_to_rest(g, stops, means, before, approach, ways, speeds, doubts);
+    longest = ways_to_rest(g, stops, means, before, approach, ways, hits, speeds, doubts);
     held_for(g, closed, rested, longest, limit.state);
     limit.time = time + longest;
     limit.error = 0.0;
+    changes_of_lift(g, stops, closed, rested, means, hits, changes);
     for (k = 0; k < n; k++)
-        if (stops & BIT(k))
-            limit.error = greater(limit.error, fabs(ways[k] - rough[k]) /
-                                                   (run->settings.time + limit.time));
+        if (stops & BIT(k)) {
+            const double share = changes[k] / (1.0 - settings_of(g, k)->restitution);
+            const double doubt = greater(fabs(ways[k] - rough[k]), ways[k] * share / -means[k]);
+            limit.error = greater(limit.error, doubt / (run->settings.time + limit.time));
+        }
     if (!(limit.error <= SPLIT && limit.time < run->settings.until &&
           clear_beside(g, closed, limit.state)))
         return GO_ON;

@@ -121,6 +121,25 @@ class Kind(Enum):
     SWITCH = EventKind.SWITCH.label
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _WayToRest:
+    """How a stop comes to rest at a constant gap acceleration.
+
+    Attributes:
+        time: Time to its Zeno point [s].
+        lift: The gap acceleration, negative.
+        speed: Speed of its next impact.
+        rebound: Speed after that impact.
+        rounding: Error of the time by the rounding of the gap [s].
+    """
+
+    time: float
+    lift: float
+    speed: float
+    rebound: float
+    rounding: float
+
+
 @dataclass(frozen=True, slots=True)
 class _Guard:
     """A guard beside the guard of the stop that a run looks at.
@@ -653,7 +672,8 @@ class ReferenceRun(StopRun):
         """Go to the Zeno points of several stops at rest, one of which is struck.
 
         The stops are so near to rest that their gap accelerations are constant but for a linear
-        change. They are not coupled, so each comes to rest by its own law.
+        change. They are not coupled, so each comes to rest by its own law. What gap rates change of
+        the accelerations is an error of the limits.
 
         Args:
             time: When [s].
@@ -678,14 +698,14 @@ class ReferenceRun(StopRun):
         closed = tuple(sorted((*self.rest, *stops)))
         if self._coupled(stops, self.rest, x) is not None:
             return None
-        lifts = [self._view(self.rest, k).gap_acceleration(x) for k in stops]
-        if not self._accumulates(stops, lifts):
-            return None
-        rough = self._ways_to_rest(stops, lifts, x, approach_rate)
         rested = x
         for k in closed:
             rested = self._holding(closed, k).on_stop(rested)
-        longest = max(way for way, _, _ in rough)
+        lifts = [self._view(self.rest, k).gap_acceleration(rested) for k in stops]
+        if not self._accumulates(stops, lifts):
+            return None
+        rough = self._ways_to_rest(stops, lifts, x, approach_rate)
+        longest = max(way.time for way in rough)
         end = self._held(closed, rested, longest)
         means = [
             (lift + self._view(self.rest, k).gap_acceleration(end)) / 2
@@ -694,30 +714,32 @@ class ReferenceRun(StopRun):
         if not self._accumulates(stops, means):
             return None
         ways = self._ways_to_rest(stops, means, x, approach_rate)
-        longest = max(way for way, _, _ in ways)
+        longest = max(way.time for way in ways)
         end, last = self._held(closed, rested, longest), time + longest
-        error = 0.0
-        for (way, _, _), (first, _, _) in zip(ways, rough, strict=True):
-            error = max(error, abs(way - first) / (self.own.time + last))
+        error, changes = 0.0, self._changes_of_lift(stops, closed, rested, ways)
+        for k, way, first, change in zip(stops, ways, rough, changes, strict=True):
+            share = change / (1.0 - self._view(self.rest, k).restitution)
+            doubt = max(abs(way.time - first.time), way.time * share / -way.lift)
+            error = max(error, doubt / (self.own.time + last))
         if not (error <= _SPLIT and last < self.follower.until and self._clear_beside(closed, end)):
             return None
         if self._contact_set(last, end, closed) != closed:
             return None
         self.seen.require_no_switches(last, self.stop_name, end, self.own.time)
         self.seen.forget(*(self.graph.stop_names[k] for k in stops))
-        for _, _, doubt in ways:
-            error = max(error, doubt / (self.own.time + last))
-        ordered = sorted(zip(ways, stops, strict=True), key=lambda one: one[0][0])
+        for way in ways:
+            error = max(error, way.rounding / (self.own.time + last))
+        ordered = sorted(zip(ways, stops, strict=True), key=lambda one: one[0].time)
         self.events += [
             ZenoPoint(
-                time=time + way,
-                state=self._held(closed, rested, way),
+                time=time + way.time,
+                state=self._held(closed, rested, way.time),
                 limit_error=error,
-                tail=way,
-                last_speed=speed,
+                tail=way.time,
+                last_speed=way.rebound,
                 stop=self.graph.stop_names[k],
             )
-            for (way, speed, _), k in ordered
+            for way, k in ordered
         ]
         return self._at_rest(time, rested, last, end, closed)
 
@@ -758,8 +780,8 @@ class ReferenceRun(StopRun):
 
     def _ways_to_rest(
         self, stops: Sequence[int], lifts: Sequence[float], x: Vector, approach_rate: float
-    ) -> list[tuple[float, float, float]]:
-        """Return the time to the Zeno point of each stop, the next speed, and the time's error.
+    ) -> list[_WayToRest]:
+        """Return the way of each stop to its Zeno point.
 
         The gap of a stop counts from the gap that its last impact left. Its rounding moves the
         Zeno point by a time of this size over the speed.
@@ -770,7 +792,7 @@ class ReferenceRun(StopRun):
             x: The state, ``(n_x,)``.
             approach_rate: Gap rate of the stop that is struck.
         """
-        ways: list[tuple[float, float, float]] = []
+        ways: list[_WayToRest] = []
         for k, lift in zip(stops, lifts, strict=True):
             view, e = self._view(self.rest, k), self._view(self.rest, k).restitution
             is_struck = k == self.focus
@@ -784,8 +806,42 @@ class ReferenceRun(StopRun):
             rounding = 0.0 if is_struck else self._rounding_of_states(k, x)
             least = math.sqrt(-2.0 * lift * rounding)
             doubt = rounding * (1.0 + e) / ((1.0 - e) * max(speed, least)) if rounding else 0.0
-            ways.append((way, after, doubt))
+            ways.append(_WayToRest(time=way, lift=lift, speed=speed, rebound=after, rounding=doubt))
         return ways
+
+    def _changes_of_lift(
+        self,
+        stops: Sequence[int],
+        closed: tuple[int, ...],
+        rested: Vector,
+        ways: Sequence[_WayToRest],
+    ) -> list[float]:
+        r"""Return by how much the gap acceleration of each stop may change while stops bounce.
+
+        Forces that depend on gap rates and gaps change with the impulses of every stop, and other
+        states follow them for a flight. Where the gap acceleration is :math:`-a + s \dot g`, the
+        time to rest :math:`t` from the speed :math:`v` errs by :math:`t s v / (3 a (1 - e))`.
+
+        Args:
+            stops: The stops.
+            closed: They, and the stops that are closed beside them.
+            rested: State with all of these at rest, ``(n_x,)``.
+            ways: The way of each stop.
+        """
+        rate = self._holding(closed, closed[-1]).locked.rate
+        views, still = [self._view(self.rest, k) for k in stops], rate(rested)
+        lifts, changes = [view.gap_acceleration(rested) for view in views], [0.0] * len(stops)
+        for way, struck in zip(ways, views, strict=True):
+            kick = struck.reset_map(rested, -way.speed) - rested
+            most = [0.0] * len(stops)
+            for sign in (1.0, -1.0):
+                moved = rested + sign * kick
+                late = moved + (2.0 * way.speed / -way.lift) * (rate(moved) - still)
+                for k, (view, lift) in enumerate(zip(views, lifts, strict=True)):
+                    for state in (moved, late):
+                        most[k] = max(most[k], abs(view.gap_acceleration(state) - lift))
+            changes = [old + new for old, new in zip(changes, most, strict=True)]
+        return changes
 
     def _held(self, closed: tuple[int, ...], x: Vector, time: float) -> Vector:
         """Return the state after a short time on closed stops, by the midpoint rule."""
