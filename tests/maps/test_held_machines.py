@@ -191,7 +191,7 @@ def _juggler(unit: float) -> tuple[zo.Problem, zo.Orbit]:
     sizes = {"A": unit, "g": unit}
     values = {"A": 0.015}
     parameters = tuple(
-        replace(one, default=values.get(one.name, one.default) * sizes.get(one.name, 1.0))
+        replace(one, default=values.get(one.name, one.default or 0.0) * sizes.get(one.name, 1.0))
         for one in known.parameters
     )
     start = {"speed": 0.9131562646434344 * unit}
