@@ -288,6 +288,7 @@ def test_a_file_of_one_column_holds_times_of_impacts(tmp_path: Path) -> None:
         ("impact\n1.0\n1.4\n", "line 1: write the title as `impact [s]`"),
         ("impact [s]\n1.0\nfast\n", "line 3 has `fast` where a time is expected"),
         ("impact [s]\n1.0\n", "fewer than two event times"),
+        ("impact [s]\n1.0\n0.5\n", "the times of `impact` decrease from 1 to 0.5 s"),
         ("impact [m],release [s]\n1.0,2.0\n1.5,\n", "write `impact [s]`"),
     ],
 )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import cmath
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -308,12 +310,27 @@ def _thrown() -> zo.Problem:
     )
 
 
-def test_a_plastic_impact_that_lets_go_is_no_part_of_a_later_zeno_point() -> None:
+def test_a_plastic_impact_that_lets_go_is_no_part_of_a_later_zeno_point(tmp_path: Path) -> None:
     machine = _thrown()
     orbit = zo.find_orbit(machine, until=100.0).unwrap()
     text = ", ".join([*orbit.sequence, *orbit.sequence])
     assert "impact floor, switch kink 1, switch kink 1, zeno floor, release floor" in text
     assert zo.verify(orbit, problem=machine).passed
+    # A former file joined the impact and its kinks to the Zeno point.
+    zo.write_orbit(orbit, tmp_path / "orbit.json")
+    entries = json.loads((tmp_path / "orbit.json").read_text(encoding="utf-8"))
+    kinks = ["switch kink 1"] * 2
+    places = range(len(entries["sequence"]) - 3)
+    (at,) = [k for k in places if entries["sequence"][k : k + 3] == ["impact floor", *kinks]]
+    assert entries["sequence"][at + 3] == "zeno floor"
+    del entries["sequence"][at : at + 3]
+    (tmp_path / "former.json").write_text(json.dumps(entries), encoding="utf-8")
+    assert zo.read_orbit(tmp_path / "former.json").sequence == orbit.sequence
+    # Another sequence is refused.
+    entries["sequence"].remove("release floor")
+    (tmp_path / "false.json").write_text(json.dumps(entries), encoding="utf-8")
+    with pytest.raises(zo.InputError, match="its `sequence` is"):
+        zo.read_orbit(tmp_path / "false.json")
     # Contact forgets the mass. What is left is the oscillator, y'' + 0.2 y' + 2 y.
     root = complex(-0.1, math.sqrt(2 - 0.01))
     for section in ("switch kink 1", "zeno floor", "release floor"):

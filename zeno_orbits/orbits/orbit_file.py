@@ -256,7 +256,7 @@ def _require_order(listed: _Listed) -> None:
     if any(later < earlier for earlier, later in itertools.pairwise(times)):
         raise _ContradictionError("its `events` are not in order of time")
     found = sequence_of([event.name for event in listed.events])
-    if found not in (listed.sequence, _without_kinks(listed.sequence)):
+    if listed.sequence not in (found, _joined(found)) and found != _without_kinks(listed.sequence):
         said, has = ", ".join(listed.sequence), ", ".join(found)
         raise _ContradictionError(f"its `sequence` is `{said}`, but its events are `{has}`")
 
@@ -267,6 +267,23 @@ def _without_kinks(sequence: Sequence[str]) -> tuple[str, ...]:
     return sequence_of(
         [one for name in sequence for one in ((zenos[name], name) if name in zenos else (name,))]
     )
+
+
+def _joined(sequence: Sequence[str]) -> tuple[str, ...]:
+    """Return a sequence as former files hold it.
+
+    A plastic impact that lets go, and the kinks after it, are joined to the next Zeno point.
+    """
+    joined: list[str] = []
+    for name in sequence:
+        if name.startswith("zeno "):
+            impact, place = name.replace("zeno", "impact", 1), len(joined)
+            while place and (joined[place - 1] == impact or joined[place - 1][:7] == "switch "):
+                place -= 1
+            place += next((k for k, one in enumerate(joined[place:]) if one == impact), len(joined))
+            del joined[place:]
+        joined.append(name)
+    return tuple(joined)
 
 
 # Phases of older files.

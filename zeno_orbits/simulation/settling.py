@@ -266,9 +266,11 @@ def without_events(
     Raises:
         SimulationError: If the motion cannot be continued.
     """
+    lasting = "it strikes the stop no more" if log.count else "it strikes no stop, passes no switch"
+    undecided = AttractorVerdict(kind=AttractorKind.UNDECIDED, reason=lasting)
     turn = clock_turn(graph.first, state)
     if turn is None:
-        return AttractorVerdict(kind=AttractorKind.UNDECIDED, reason="it strikes the stop no more")
+        return undecided
     settings = transient_settings(_ERROR)
     states = states_at_turns(graph, state, turn, 2 * _TURNS, settings)
     scale = scale_of(states, log.units, log.usual)
@@ -278,7 +280,7 @@ def without_events(
         # A motion that alternates while it settles is nearer to its start after two turns.
         turns = 1 + next(k for k, change in enumerate(changes) if change < _NEARLY * close)
         return AttractorVerdict(kind=AttractorKind.REPEATS, turns=turns)
-    return AttractorVerdict(kind=AttractorKind.UNDECIDED, reason="it strikes the stop no more")
+    return undecided
 
 
 def _by_exponent(found: Exponent, turn: float) -> AttractorVerdict:

@@ -432,12 +432,13 @@ def _sound_rows(path: Path, table: ColumnTable) -> tuple[NDArray[np.int64] | Non
 def _missing(values: Vector, names: list[str]) -> tuple[str, ...]:
     remarks: list[str] = []
     for name, row in zip(names, values, strict=True):
-        infinite = np.isinf(row)
-        if infinite.any():
-            row[infinite] = np.nan
+        infinite = int(np.isinf(row).sum())
+        if infinite:
+            row[np.isinf(row)] = np.nan
         missing = int(np.isnan(row).sum())
         if missing:
-            remarks.append(f"`{name}` is missing in {missing} of {counted(len(row), 'row')}")
+            told = f"`{name}` is missing in {missing} of {counted(len(row), 'row')}"
+            remarks.append(f"{told}, infinite in {infinite} of them" if infinite else told)
     return tuple(remarks)
 
 

@@ -135,8 +135,15 @@ def _of_times(path: Path, columns: Mapping[str, Vector]) -> Recording:
     """Return columns of event times as a recording, whose times are all of them.
 
     Raises:
-        DataFileError: If there are fewer than two.
+        DataFileError: If there are fewer than two, or those of a column decrease.
     """
+    for name, row in columns.items():
+        known = row[np.isfinite(row)]
+        back = np.flatnonzero(np.diff(known) < 0.0)
+        if len(back):
+            earlier, later = known[back[0]], known[back[0] + 1]
+            told = f"the times of `{name}` decrease from {earlier:.9g} to {later:.9g} s"
+            raise DataFileError(path, f"{told}: correct them, or write them in order")
     every = np.unique(np.concatenate(list(columns.values())))
     every = every[np.isfinite(every)]
     if len(every) < 2:
