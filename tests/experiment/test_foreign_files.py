@@ -246,6 +246,12 @@ FILES = {
         (0.0, 4e-5),
         {"ch1": ("V", -0.16, -0.08), "ch2": ("V", -0.02, -0.02)},
     ),
+    "marks and a minus sign of other programs": Foreign(
+        "time [s],x [m]\n0,\N{MINUS SIGN}1.5\n0.1,--\n0.2,1.#QNAN\n0.3,2.5\n",
+        PLAIN,
+        (0.0, 0.3),
+        {"x": ("m", -1.5, 2.5)},
+    ),
     "MATLAB": Foreign(
         "time,angle\n0,1\n0.01,NaN\n0.02,1.5e+00\n",
         zo.ColumnNotes(units={"time": "s", "angle": "rad"}),
@@ -340,7 +346,11 @@ REFUSED = {
         PLAIN,
         "line 2 has values above the titles in line 6: split the file there",
     ),
-    "separators of thousands": ("time [s];x [m]\n0;1.234,5\n1;1.2,5\n", PLAIN, "correct or empty"),
+    "separators of thousands": (
+        "time [s];x [m]\n0;1.234,5\n1;1.2,5\n",
+        PLAIN,
+        "`1.234,5` .* write it without a sign for thousands",
+    ),
     "a title with more words": (
         "Latest: Time (s),x (m)\n0,1\n1,2\n",
         PLAIN,

@@ -22,8 +22,13 @@ _PIECE = 1 << 22
 _SEPARATORS = ("\t", ";", ",")
 """In the order of the search: a comma may also be a decimal sign."""
 
-MISSING = frozenset({"", "-", "nan", "na", "n/a", "#n/a", "null", "none", "missing", "x"})
-"""Marks for a missing value, in lower case. Logic analysers write `X`."""
+MISSING = frozenset(
+    {
+        *("", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none", "missing", "x"),
+        *("1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind"),
+    }
+)
+"""Marks for a missing value, in lower case. Logic analysers write `X`, old programs `1.#QNAN`."""
 
 _TIME_ALONE = re.compile(r"t(ime)?\s*([\[(][^\])]*[\])])?", flags=re.IGNORECASE)
 """A line of titles that names the time and nothing else."""
@@ -325,7 +330,8 @@ def number_of(text: str) -> float | None:
     if "_" in text:
         return None
     try:
-        return float(text)
+        # Typeset tables have a minus sign of their own.
+        return float(text.replace("\N{MINUS SIGN}", "-"))
     except ValueError:
         return None
 

@@ -174,6 +174,8 @@ class _Reader:
             message = f"line {line} has `{short(text)}` where column `{title}` has a number"
             if _CLOCK.search(text):
                 raise DataFileError(self.path, f"{message}: write seconds since the start")
+            if number_of(text.replace(".", "").replace(",", "")) is not None:
+                raise DataFileError(self.path, f"{message}: write it without a sign for thousands")
             raise DataFileError(self.path, f"{message}: correct or empty it")
         return number
 
