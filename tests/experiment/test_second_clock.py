@@ -1,12 +1,14 @@
 """A second file of one motion on another clock, whose offset and rate are known to the test.
 
-The motion is that of a ball by its flights, and that of a pendulum by another integrator.
+The motion is that of a ball by its flights, and that of an orbit at other times.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +16,8 @@ import pytest
 import zeno_orbits as zo
 from tests.support.commands import ask
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment import RecordedSignal, UnfittableError
+from zeno_orbits.experiment import RecordedSignal, UnfittableError, tabulate_orbit
+from zeno_orbits.search import orbit_by_shooting
 
 G, E, HEIGHT = 9.81, 0.7, 0.8
 BEGIN, RATE = 1.7, 2e-3
@@ -141,10 +144,6 @@ def test_a_second_file_belongs_to_one_transient(tmp_path: object) -> None:
         zo.identify("bouncing_ball", [_first(), _first()], ["restitution"], second_file=_second())
     with pytest.raises(InputError, match="`second_file` holds the first recording again: give"):
         zo.identify("bouncing_ball", _first(), ["restitution"], second_file=_first())
-    with pytest.raises(InputError, match="Argument `second_file` needs transients"):
-        zo.identify(
-            "bouncing_ball", _first(), ["restitution"], second_file=_second(), transient=False
-        )
     path = f"{tmp_path}/drop.csv"
     zo.write_recording(_first(), path)
     words = ("identify", "bouncing_ball", path, "--fit", "restitution", "--second-file", path)
@@ -152,3 +151,67 @@ def test_a_second_file_belongs_to_one_transient(tmp_path: object) -> None:
     assert answer.code == 2
     assert "--second-file" in answer.err
     assert "--law" in answer.err
+
+
+@pytest.mark.slow
+def test_two_files_of_an_orbit_give_parameters_and_the_clock_up_to_periods() -> None:
+    problem = zo.load_problem("forced_oscillator")
+    true = {"k": 1.03, "restitution": 0.49}
+    orbit = orbit_by_shooting(problem, problem.values(parameters=true)).unwrap()
+    table, period = tabulate_orbit(orbit, problem, ["distance", "speed"]), orbit.period
+    random = np.random.default_rng(5)
+
+    def file(times: np.ndarray, shown: np.ndarray, k: int) -> zo.Recording:
+        clean = table.at(times / period + 0.3)[:, k]
+        noisy = clean + 0.01 * np.ptp(clean) * random.standard_normal(len(clean))
+        name, unit = (("distance", "m"), ("speed", "m/s"))[k]
+        signal = RecordedSignal(name=name, unit=unit, values=noisy)
+        return zo.Recording(source=None, problem=problem.name, time=shown, signals=(signal,))
+
+    first_times = np.arange(0.0, 8.2 * period, period / 61.3)
+    shown = 40.0 + np.arange(0.0, 11.4 * period, period / 87.1)
+    first = file(first_times, first_times, 0)
+    second = file(shown / (1 + RATE) - BEGIN, shown, 1)
+    found = zo.identify(problem, first, ["k", "restitution"], second_file=second, transient=False)
+    assert {one.unknown.label for one in found.fitted} == set(true)
+    for one in found.fitted:
+        assert abs(one.value - true[one.unknown.label]) < 4 * one.error
+    assert found.correlation.shape == (2, 2)
+    at, error, faster, unsure = _clock(found.remarks)
+    whole = (at - (1 + RATE) * BEGIN) / ((1 + RATE) * period)
+    assert abs(whole - round(whole)) * period < 4 * error < 0.02 * period
+    assert abs(faster - RATE) < 4 * unsure < RATE
+    alone = zo.identify(problem, first, ["k", "restitution"], transient=False)
+    assert all(a.error < b.error for a, b in zip(found.fitted, alone.fitted, strict=True))
+
+
+def test_a_second_file_of_an_orbit_has_signals_and_its_own_channels() -> None:
+    times = np.arange(0.0, 60.0, 0.1)
+    wave = recording("distance", times, np.sin(times))
+    contact = recording("contact.stop", times, np.sin(times) > 0.9, "1")
+    for fit, second, told in (
+        ("k", contact, "`second_file` has the contact channel `contact.stop`: give the file with"),
+        ("distance.gain", recording("distance", times, np.cos(times)), "`fit` must name a channel"),
+    ):
+        with pytest.raises(InputError, match=f"Argument {told}"):
+            zo.identify("forced_oscillator", wave, [fit], second_file=second, transient=False)
+
+
+def test_read_shows_a_second_file_and_its_clock_by_shared_signals(tmp_path: Path) -> None:
+    paths = [str(tmp_path / f"{k}.csv") for k in range(5)]
+    shown = np.arange(0.0, 30.0, 0.05)
+    other = recording("speed", shown, np.sin(shown), "m/s")
+    wave = recording("height", shown, np.sin(shown))
+    noise = recording("height", shown, np.random.default_rng(6).uniform(0.0, 1.0, len(shown)))
+    for path, one in zip(paths, (_first(), _second(), other, wave, noise), strict=True):
+        zo.write_recording(one, path)
+    answer = ask("read", paths[0], "--second-file", paths[1], "--json")
+    assert answer.code == 0
+    told = json.loads(answer.out)["second_file"]["clock"].split()
+    assert abs(float(told[told.index("shows") + 1]) - (1 + RATE) * BEGIN) < 2 / 60
+    for pair, word in (
+        ((paths[0], paths[2]), "share no signal"),
+        ((paths[3], paths[3]), "offsets that are 6.3 s apart"),
+        ((paths[3], paths[4]), "do not show one motion"),
+    ):
+        assert word in ask("read", pair[0], "--second-file", pair[1]).out.replace("\n", " ")

@@ -31,6 +31,7 @@ from .machines import compare_laws_of as compare_laws_of
 from .machines import compare_transient as compare_transient
 from .machines import counterpart_for as counterpart_for
 from .machines import crop as crop
+from .machines import clock_words as clock_words
 from .machines import describe_recording as describe_recording
 from .machines import identify_trials as identify_trials
 from .machines import labelled_recordings as labelled_recordings

@@ -89,6 +89,19 @@ def describe_recording(
     return describe(recording, columns=columns, units=known)
 
 
+def clock_words(first: RecordingDescription, second: RecordingDescription) -> str:
+    """Return what signals of two files tell of the clock of the second one, empty without any.
+
+    Args:
+        first: A file as it was understood.
+        second: A second file of the same motion on another clock.
+    """
+    from zeno_orbits.experiment.recordings.clocks import clock_words as told
+
+    known = first.recording, second.recording
+    return "" if known[0] is None or known[1] is None else told(known[0], known[1])
+
+
 @front_door
 def compare(
     orbit: Orbit | str | Path,
@@ -165,8 +178,8 @@ def identify(
             samples, and their rates near the slopes there.
         initial: Further initial values of transients to determine: states that are not recorded,
             ``clock`` for the phase of the clock, ``offset`` for the time of the start.
-        second_file: A second file of the same transient on another clock, whose offset and rate are
-            determined too.
+        second_file: A second file of the same motion on another clock, whose offset and rate are
+            determined too. Of a settled motion it has signals, and no contact channel.
         transient: Whether transients are fitted. The default is to decide by the recordings.
         t_start: First time of the recordings that counts [s].
         t_end: Last time of the recordings that counts [s].
@@ -317,7 +330,9 @@ def identify_trials(
     known = problem
     if not _are_transients(known, trials, transient, start, initial, second):
         unknowns = _unknowns(known, values, fit)
-        return fit_parameters(known, values, trials[0][1], unknowns, on_progress=on_progress)
+        return fit_parameters(
+            known, values, trials[0][1], unknowns, second=second, on_progress=on_progress
+        )
     return fit_transient_parameters(
         known,
         values,
@@ -409,7 +424,6 @@ def _are_transients(
 
     _require_one_trial(trials, second)
     asked = "start" if start else "initial" if initial else "recording" if len(trials) > 1 else ""
-    asked = asked or ("" if second is None else "second_file")
     if transient is False and asked:
         wanted = "needs transients: omit `transient`, or set it to True"
         raise InputError(f"Argument `{asked}` {wanted}.")

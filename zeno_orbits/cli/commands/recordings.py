@@ -47,6 +47,7 @@ def add_read(commands: Any) -> None:
             "zeno-orbits read track.csv --frame-rate 200 --column y=height "
             '--unit "height=-0.78 mm" --zero height=512 -o drop.csv',
             "zeno-orbits read data.csv --problem motor_pendulum --json",
+            "zeno-orbits read video.csv --second-file logger.csv",
         ],
     )
     parser.add_argument(
@@ -86,13 +87,21 @@ def add_read(commands: Any) -> None:
     add_problem_file(parser, "problem")
     add_shared(parser, "t_start", type=read_number)
     add_shared(parser, "t_end", type=read_number)
+    parser.add_argument(
+        "--second-file",
+        type=Path,
+        metavar="FILE",
+        help="show a second file of the same motion too, and by signals that both files have what "
+        "its clock shows at the beginning of the first",
+    )
     parser.add_argument("-o", "--output", type=Path, help="write the recording here, in SI units")
 
 
 def _run_read(options: argparse.Namespace) -> int:
     import zeno_orbits as zo
 
-    require_outputs(options, {"output": SAMPLES}, reads=[options.data])
+    reads = [options.data] if options.second_file is None else [options.data, options.second_file]
+    require_outputs(options, {"output": SAMPLES}, reads=reads)
     found = api.describe_recording(
         options.data,
         columns=zo.ColumnNotes(
@@ -103,17 +112,26 @@ def _run_read(options: argparse.Namespace) -> int:
         ),
         problem=options.problem,
     )
+    second = options.second_file and api.describe_recording(
+        options.second_file, problem=options.problem
+    )
     if options.output is not None:
         if found.recording is None:
             raise InputError(f"Argument `output`: there is nothing to write: {found.trouble}.")
         part = api.crop(found.recording, options.t_start, options.t_end)
         zo.write_recording(part, options.output)
+    words = second and api.clock_words(found, second)
     if options.json:
-        print_json(found.as_json())
+        more = {"second_file": {**second.as_json(), "clock": words}} if second else {}
+        print_json(found.as_json() | more)
     else:
         report.print_description(found)
+        if second:
+            report.print_lines([f"Second file {options.second_file}:"])
+            report.print_description(second)
+            report.print_lines([f"Note: {words}."] if words else [])
         say_written(options, [options.output] if options.output is not None else [])
-    return YES if found.is_complete else NO
+    return YES if found.is_complete and (not second or second.is_complete) else NO
 
 
 def add_compare(commands: Any) -> None:
@@ -170,7 +188,7 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
         "--second-file",
         type=Path,
         metavar="FILE",
-        help="a second file of the same transient on another clock; the offset and the rate of "
+        help="a second file of the same motion on another clock; the offset and the rate of "
         "its clock are determined",
     )
     add_shared(

@@ -48,6 +48,9 @@ class Folded:
         groups: Index of the cycle, or of the group of cycles, of each row, ``(n,)``.
         turns: Mean index of the cycle, counted from the middle of the recording, ``(n,)``.
         span: Length of the stretch averaged in a value, in periods. It is 0 for a single sample.
+        clocks: 0 for the rows of a first file, and 1 for those of a second file on another clock,
+            which has its own channels, ``(n,)``. ``None`` for a single file.
+        slower: Ratio of the second file's period to the one at which it was folded.
     """
 
     phases: Vector
@@ -56,17 +59,57 @@ class Folded:
     seen: NDArray[np.bool_]
     groups: NDArray[np.int64]
     turns: Vector
-    span: float = 0.0
+    span: float | Vector = 0.0
+    clocks: NDArray[np.int64] | None = None
+    slower: float = 1.0
+
+    @property
+    def n_clocks(self) -> int:
+        """Number of files, each with its clock."""
+        return 1 if self.clocks is None else 2
 
     @property
     def n_groups(self) -> int:
         """Number of cycles, or of groups of cycles."""
         return int(self.groups.max()) + 1
 
-    def stretched(self, factor: float) -> Folded:
-        """Return the samples by the phases of a period that is longer by a factor."""
-        phases = (self.turns + self.phases) / factor - self.turns
-        return replace(self, phases=np.mod(phases, 1.0))
+    def stretched(self, *factors: float) -> Folded:
+        """Return the samples by the phases of periods that are longer by factors, one per clock."""
+        by = np.array(factors)[0 if self.clocks is None else self.clocks]
+        phases = (self.turns + self.phases) / by - self.turns
+        return replace(self, phases=np.mod(phases, 1.0), slower=self.slower * factors[-1])
+
+    def part(self, clock: int) -> Folded:
+        """Return the rows and channels of one clock."""
+        if self.clocks is None:
+            return self
+        rows, channels = self._own(clock)
+        groups, span = self.groups[rows], np.broadcast_to(self.span, len(rows))[rows]
+        return Folded(
+            phases=self.phases[rows],
+            values=self.values[rows][:, channels],
+            counts=self.counts[rows][:, channels],
+            seen=self.seen[rows][:, channels],
+            groups=groups - groups.min(initial=self.n_groups),
+            turns=self.turns[rows],
+            span=span if np.any(span) else 0.0,
+        )
+
+    def entries(self, clock: int, values: Vector) -> Vector:
+        """Return the entries of `part` among values of all samples, ``(n n_s, ...)``."""
+        if self.clocks is None:
+            return values
+        rows, channels = self._own(clock)
+        whole = values.reshape(*self.values.shape, *values.shape[1:])
+        return whole[rows][:, channels].reshape(-1, *values.shape[1:])
+
+    def _own(self, clock: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        rows = self.clocks == clock
+        return rows, np.any(self.counts[rows] > 0.0, axis=0)
+
+    def late(self, delay: float) -> float | Vector:
+        """Return the further shift of the rows of a second clock, in periods."""
+        return 0.0 if self.clocks is None else delay * self.clocks.astype(np.float64)
 
     def without_jumps(self, table: PeriodTable) -> Folded:
         """Return the samples away from jumps and layers of an orbit with roughly equal phases."""
@@ -77,23 +120,23 @@ class Folded:
         """Return it without some of its values, ``(n, n_s)``."""
         return replace(self, seen=self.seen & ~left_out)
 
-    def predicted(self, table: PeriodTable, shift: float) -> Fold:
+    def predicted(self, table: PeriodTable, shift: float | Vector) -> Fold:
         """Return the predictions of an orbit for the samples, or for their means.
 
         Args:
             table: The orbit.
-            shift: Delay of the orbit, in periods.
+            shift: Delay of the orbit, in periods, of each row or of all.
         """
         phases = self.phases - shift
         times = np.mod(phases, 1.0) * table.period
         values, slopes = table.nodes.with_slopes(times)
-        if self.span:
+        if np.any(self.span):
             values = self._mean(table, phases, 1)
         return Fold(times=times, values=values, slopes=slopes)
 
-    def bends(self, table: PeriodTable, shift: float) -> Vector:
+    def bends(self, table: PeriodTable, shift: float | Vector) -> Vector:
         """Return the uncertainty of the predicted means of a signal that is curved within a bin."""
-        if not self.span:
+        if not np.any(self.span):
             return np.zeros_like(self.values)
         phases = self.phases - shift
         return np.abs(self._mean(table, phases, 2) - self._mean(table, phases, 1))
@@ -107,6 +150,28 @@ class Folded:
                 here = phases + self.span * (centre + 0.5 * point / parts)
                 total += weight / (2 * parts) * table.at(here)
         return total
+
+
+def joined(first: Folded, second: Folded) -> Folded:
+    """Return the samples of two files on their own clocks, each with its own channels."""
+    n, n_s = first.values.shape
+    m, m_s = second.values.shape
+    blocks = {
+        name: np.block([[one, np.zeros((n, m_s))], [np.zeros((m, n_s)), other]])
+        for name in ("values", "counts", "seen")
+        for one, other in [(getattr(first, name), getattr(second, name))]
+    }
+    spans = np.concatenate([np.broadcast_to(one.span, len(one.phases)) for one in (first, second)])
+    return Folded(
+        phases=np.concatenate([first.phases, second.phases]),
+        values=blocks["values"],
+        counts=blocks["counts"],
+        seen=blocks["seen"] > 0.5,
+        groups=np.concatenate([first.groups, second.groups + first.n_groups]),
+        turns=np.concatenate([first.turns, second.turns]),
+        span=spans if np.any(spans) else 0.0,
+        clocks=np.repeat(np.array([0, 1]), [n, m]),
+    )
 
 
 def folded(

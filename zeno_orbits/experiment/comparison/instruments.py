@@ -6,6 +6,7 @@ recorder with the clock rate `c` reads
 .. math:: \tilde y(\tilde t) = g\,y(t) + b, \qquad \tilde t = (1 + c)\,t + \text{const}.
 
 The phase of a sample is a ratio of recorded times, so `c` changes the recorded period alone.
+A second file is folded by its own period. Its delay, in periods, is a further unknown.
 """
 
 from __future__ import annotations
@@ -29,12 +30,14 @@ class ReadingKind(Enum):
     GAIN = "gain"
     OFFSET = "offset"
     CLOCK_RATE = "clock_rate"
+    DELAY = "delay of the second file"
 
 
 _RANGES = {
     ReadingKind.GAIN: (0.5, 2.0),
     ReadingKind.OFFSET: (-math.inf, math.inf),
     ReadingKind.CLOCK_RATE: (-0.05, 0.05),
+    ReadingKind.DELAY: (-0.5, 0.5),
 }
 """Ranges of errors by default. The range of an offset is completed from its channel."""
 
@@ -53,8 +56,9 @@ class InstrumentReading(NamedTuple):
 
 def reading_of(name: str) -> InstrumentReading | None:
     """Return the error that ``CHANNEL.gain``, ``CHANNEL.offset`` or ``clock_rate`` names."""
-    if name == ReadingKind.CLOCK_RATE.value:
-        return InstrumentReading(ReadingKind.CLOCK_RATE, "")
+    for clock in (ReadingKind.CLOCK_RATE, ReadingKind.DELAY):
+        if name == clock.value:
+            return InstrumentReading(clock, "")
     channel, _, kind = name.rpartition(".")
     for one in (ReadingKind.GAIN, ReadingKind.OFFSET):
         if channel and kind == one.value:
@@ -76,11 +80,13 @@ class Instruments:
         gains: Derivatives of the gains, ``(n_s, k)``. A gain without any is 1.
         offsets: Derivatives of the offsets, ``(n_s, k)``.
         rate: Derivative of the clock rate, ``(k,)``.
+        delay: Derivative of the delay of a second file, ``(k,)``.
     """
 
     gains: Vector
     offsets: Vector
     rate: Vector
+    delay: Vector
 
     @property
     def has_channel_errors(self) -> bool:
@@ -127,6 +133,7 @@ def instruments_of(
         gains=np.array([of(ReadingKind.GAIN, one) for one in channels]).reshape(shape),
         offsets=np.array([of(ReadingKind.OFFSET, one) for one in channels]).reshape(shape),
         rate=np.array(of(ReadingKind.CLOCK_RATE, "")),
+        delay=np.array(of(ReadingKind.DELAY, "")),
     )
 
 

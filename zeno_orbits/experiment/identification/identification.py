@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.experiment.comparison.folding import Folded
 from zeno_orbits.experiment.identification.contact_rows import UNMATCHED
-from zeno_orbits.experiment.identification.least_squares import Fit
+from zeno_orbits.experiment.identification.least_squares import Fit, stretch_of
 from zeno_orbits.experiment.identification.optima import (
     global_fit,
     profile_interval,
@@ -36,6 +36,7 @@ from zeno_orbits.experiment.identification.prepared import (
     UnfittableError,
     prepared,
     refusal,
+    with_second,
 )
 from zeno_orbits.experiment.identification.stationarity import unsteady
 from zeno_orbits.experiment.identification.uncertainty import Unseen, unseen_combinations
@@ -45,6 +46,7 @@ from zeno_orbits.experiment.identification.unknowns import (
     begin_of,
     unknowns_of,
 )
+from zeno_orbits.experiment.recordings.contacts import CONTACT
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.experiment.transients.second_clock import SecondFile
 from zeno_orbits.experiment.transients.transient_fit import TransientFit, fit_transients
@@ -70,6 +72,8 @@ _LATE = 5.0
 _EDGE = 1e-6
 _PART = 0.1
 """Part that a number has at least in a combination that hides it."""
+_DELAY = FitParameter(names=("delay of the second file",), lower=-0.5, upper=0.5)
+_TINY = 1e-300
 _SMALLEST = 1e-6
 """Least size of a fitted value, in units of its start, of which a change is a part."""
 
@@ -195,6 +199,7 @@ def fit_parameters(
     recording: Recording,
     sought: Sequence[FitParameter],
     *,
+    second: SecondFile | None = None,
     on_progress: Progress = silent,
 ) -> Identification:
     """Fit parameters of a problem to a recording.
@@ -205,42 +210,46 @@ def fit_parameters(
             accurate, while the others are rough initial values.
         recording: Recording of a settled machine, of at least two periods.
         sought: The parameters to fit.
+        second: A second file of the same settled motion on another clock, with signals alone.
         on_progress: Called with each stage, and with the part done of the fit.
 
     Raises:
-        InputError: If a name or a range is invalid.
+        InputError: If a name or a range is invalid, or the second file has contact channels.
         UnfittableError: If no orbit exists at the start, or the recording does not resemble any.
     """
     begin = begin_of(problem, values, sought)
-    unknowns = unknowns_of(problem, begin, sought)
-    whole = prepared(problem, begin, unknowns, recording, on_progress)
+    asked = [*sought] if second is None else [*sought, _DELAY]
+    unknowns = unknowns_of(problem, begin, asked)
+    files = _prepared(problem, begin, unknowns, recording, second, on_progress)
+    whole = files[0][1] if second is None else with_second(files[0][1], files[1][1])
     unknowns = whole.orbits.unknowns
     labels = [one.label for one in sought]
     seen = _restitution_seen(unknowns, sought, whole.restitution)
+    notes = [f"{label}{word}" for label, one in files for word in one.remarks]
     try:
         answer, orbits, optima = _nearest(whole, seen, on_progress)
     except UnfittableError as error:
-        if not whole.remarks:
+        if not notes:
             raise
-        raise UnfittableError(f"{error} Note: {'; '.join(whole.remarks)}.") from error
-    remarks = [*whole.remarks, *_unsettled(answer, whole)]
-    edges = _fitted_edges(whole, answer, labels)
-    additive = [label for label, mark in zip(labels, unknowns.additive, strict=True) if mark]
-    # Of changes relative to the fitted values, which are negative where a negative value grows.
-    signs = np.where(unknowns.numbers(answer.x) < 0.0, -1.0, 1.0)
-    sizes = np.where(unknowns.additive, 1.0, np.maximum(np.abs(answer.x[:-1]), _SMALLEST))
-    information = answer.spread.information * np.outer(signs * sizes, signs * sizes)
-    unseen = unseen_combinations(labels, information, answer.spread.inflation, additive)
+        raise UnfittableError(f"{error} Note: {'; '.join(notes)}.") from error
+    for clock, (label, one) in enumerate(files):
+        notes += [f"{label}{word}" for word in _unsettled(answer.part(clock), one, label)]
+    edges = _fitted_edges(whole, answer, [one.label for one in asked])
+    unseen = _unseen(labels, unknowns, answer)
     on_progress("computing the intervals", 0.97)
     fitted = _fitted(unknowns, sought, answer, unseen)
-    others = tuple(dict(zip(labels, unknowns.numbers(one).tolist(), strict=True)) for one in optima)
+    others = tuple(
+        dict(zip(labels, unknowns.numbers(one).tolist(), strict=False)) for one in optima
+    )
     at = _values_of(problem, begin, fitted, unknowns)
-    n_edges = whole.contacts.n_edges
+    n_edges, k = whole.contacts.n_edges, len(sought)
+    if second is not None:
+        notes += _clock_words(answer, files[0][1], files[1][1], second.label)
     return Identification(
         problem=problem.name,
         values=at,
         fitted=fitted,
-        correlation=answer.spread.correlation,
+        correlation=answer.spread.correlation[:k, :k],
         unseen=unseen,
         closed_orbit=event_orbit_of(problem, at, orbits.table(answer.x).found),
         before=answer.before,
@@ -248,10 +257,88 @@ def fit_parameters(
         misfit=answer.spread.misfit,
         converged=answer.converged,
         optima=others,
-        remarks=(*remarks, *_remarks(fitted, unknowns, answer), *map(_rival, others)),
+        remarks=(*notes, *_remarks(fitted, unknowns, answer), *map(_rival, others)),
         edges=n_edges,
         edge_misfit=float(np.sqrt(np.mean(edges**2))) if n_edges else math.nan,
     )
+
+
+def _prepared(
+    problem: Problem,
+    begin: ParameterValues,
+    unknowns: Unknowns,
+    recording: Recording,
+    second: SecondFile | None,
+    on_progress: Progress,
+) -> list[tuple[str, Prepared]]:
+    """Return the beginning of a fit for each file, with the words before its remarks.
+
+    Raises:
+        InputError: If the second file has contact channels, or both files have a channel whose gain
+            or offset is sought.
+        UnfittableError: If a file does not show the orbit.
+    """
+    if second is None:
+        return [("", prepared(problem, begin, unknowns, recording, on_progress))]
+    names, others = ([one.name for one in file.signals] for file in (recording, second.recording))
+    contacts = [name for name in others if name.partition(".")[0] == CONTACT]
+    if contacts:
+        wanted = f"has the contact channel `{contacts[0]}`: give the file with contacts first"
+        raise InputError(f"Argument `second_file` {wanted}.")
+    for reading in (one for own in unknowns.readings for one in own):
+        if reading.channel in names and reading.channel in others:
+            named = f"`{reading.channel}.{reading.kind.value}`"
+            wanted = f"must name a channel of one file, but both files have that of {named}"
+            raise InputError(f"Argument `fit` {wanted}: rename one of the columns.")
+    first = prepared(
+        problem, begin, replace(unknowns, elsewhere=tuple(others)), recording, on_progress
+    )
+    known = replace(first.orbits.unknowns, elsewhere=tuple(names))
+    try:
+        other = prepared(problem, begin, known, second.recording, on_progress)
+    except UnfittableError as error:
+        reason = str(error).partition(": ")[2].rstrip(".")
+        raise refusal(f"{second.label}: {reason}") from error
+    return [("", first), (f"{second.label}: ", other)]
+
+
+def _unseen(labels: Sequence[str], unknowns: Unknowns, answer: Fit) -> tuple[Unseen, ...]:
+    """Return the combinations that are not determined, whatever the delay of a second file."""
+    k = len(labels)
+    # Of changes relative to the fitted values, which are negative where a negative value grows.
+    signs = np.where(unknowns.numbers(answer.x) < 0.0, -1.0, 1.0)
+    sizes = np.where(unknowns.additive, 1.0, np.maximum(np.abs(answer.x[:-1]), _SMALLEST))
+    information = answer.spread.information * np.outer(signs * sizes, signs * sizes)
+    for late in range(k, len(information)):
+        across = information[:k, late]
+        information[:k, :k] -= np.outer(across, across) / max(information[late, late], _TINY)
+    additive = [name for name, mark in zip(labels, unknowns.additive, strict=False) if mark]
+    return unseen_combinations(labels, information[:k, :k], answer.spread.inflation, additive)
+
+
+def _clock_words(answer: Fit, first: Prepared, second: Prepared, label: str) -> list[str]:
+    """Return what a fit tells of the clock of a second file.
+
+    A settled motion repeats, so the offset is known up to whole periods.
+    """
+    stage, delay = answer.stage, float(answer.x[-2])
+    if stage is None:
+        return []
+    factors = [stretch_of(stage, answer.x, clock).error for clock in (0, 1)]
+    periods = stage.found.period, second.where.period * answer.data.slower
+    rate = periods[1] / periods[0] - 1.0
+    turns = (float(first.time[0]) - first.where.release) / periods[0]
+    ahead = turns + delay
+    origin = (float(second.time[0]) - second.where.release) / periods[1]
+    ahead += math.ceil(origin - ahead)
+    shows = second.where.release + periods[1] * ahead
+    errors = float(answer.spread.errors[-1]), turns * factors[0], ahead * factors[1]
+    late, unsure = periods[1] * math.hypot(*errors), (1.0 + rate) * math.hypot(*factors)
+    return [
+        f"{label}: its clock shows {shows:.7g} +- {late:.2g} s at the beginning of the first file, "
+        f"up to whole periods of {periods[1]:.5g} s",
+        f"{label}: its clock is faster by the part {rate:.3g} +- {unsure:.2g}",
+    ]
 
 
 def _values_of(
@@ -262,7 +349,7 @@ def _values_of(
 ) -> ParameterValues:
     """Return the parameter values of a machine after a fit, without errors of instruments."""
     parameters = dict(begin.parameters)
-    for one, readings in zip(fitted, unknowns.readings, strict=True):
+    for one, readings in zip(fitted, unknowns.readings, strict=False):
         if not readings:
             parameters |= dict.fromkeys(one.unknown.names, one.value)
     return problem.values(gains=begin.gains, parameters=parameters)
@@ -423,7 +510,7 @@ def _restitution_seen(
     }
 
 
-def _unsettled(answer: Fit, whole: Prepared) -> list[str]:
+def _unsettled(answer: Fit, whole: Prepared, label: str) -> list[str]:
     """Return remarks on differences between cycles that hardly change the fitted values.
 
     Raises:
@@ -440,7 +527,7 @@ def _unsettled(answer: Fit, whole: Prepared) -> list[str]:
         since = where.release + where.period * (begun[0] + found.skip * in_group)
         hint = f"; leave the beginning out with --t-start {since:.4g}"
     if found.size > _MOVED:
-        raise refusal(f"{found.reason}{hint}")
+        raise refusal(f"{label}{found.reason}{hint}")
     return [f"{found.reason}, by {100 * found.size:.1g} % of the numbers{hint}"]
 
 
@@ -473,7 +560,7 @@ def _fitted(
 def _remarks(fitted: Sequence[FittedParameter], unknowns: Unknowns, found: Fit) -> list[str]:
     """Return the remarks on a fit."""
     remarks: list[str] = []
-    ends = zip(fitted, unknowns.lower, unknowns.upper, strict=True)
+    ends = zip(fitted, unknowns.lower, unknowns.upper, strict=False)
     for one, low, high in ends:
         if min(one.value - low, high - one.value) < _EDGE * (high - low):
             remarks.append(f"`{one.unknown.label}` reached an end of its range")

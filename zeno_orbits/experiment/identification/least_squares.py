@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ class Fit:
     """Unknowns that minimise the distance of an orbit to a recording.
 
     Attributes:
-        x: The unknowns, ``(k + 1,)``.
+        x: The unknowns, ``(k + 1,)``. With a second file its delay is the last but one.
         data: The samples that count.
         jacobian: Derivatives of the residuals with respect to the unknowns, ``(n_r, k + 1)``. The
             rows are those of the samples, of the contact channels, and of the period.
@@ -78,6 +79,19 @@ class Fit:
     repeating: float
     converged: bool
     stage: Weighed | None = None
+
+    def part(self, clock: int) -> Fit:
+        """Return the samples of one file of two, whose delay is then the shift."""
+        if self.data.clocks is None:
+            return self
+        data, n = self.data.part(clock), self.data.values.size
+        rows = self.data.entries(clock, self.jacobian[:n])
+        return replace(
+            self,
+            data=data,
+            jacobian=np.delete(rows, -2, axis=1),
+            residuals=self.data.entries(clock, self.residuals[:n]),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -184,10 +198,13 @@ def _fitted_from(
         x, converged = _nearest(stage, x, change)
         bent = _bent(stage, x, samples) if number == 0 else ~data.seen
         if number < len(_SETTLED) - 1:
-            factor, error, width = _stretch(stage, x)
-            samples, contacts = samples.stretched(factor), contacts.stretched(factor)
+            stretches = [stretch_of(stage, x, clock) for clock in range(data.n_clocks)]
+            factor, error, _ = stretches[0]
+            width = max(one.width for one in stretches)
+            samples = samples.stretched(*(one.factor for one in stretches))
+            contacts = contacts.stretched(factor)
             found = replace(found, period=found.period * factor, error=found.period * error)
-            phases = samples.phases - float(x[-1])
+            phases = samples.phases - orbits.shift(x, samples)
             data = samples.without(bent | beside_jumps(orbits.table(x), phases, width))
         stage = weighed(orbits, data, found, x, contacts)
     on_progress("computing the intervals", 0.95)
@@ -230,25 +247,36 @@ def rough_fit(
     return x, stage
 
 
-def _stretch(stage: Weighed, x: Vector) -> tuple[float, float, float]:
-    """Return the period from a fit to the samples, its error, and the uncertainty of their phases.
+class Stretch(NamedTuple):
+    """Factor of a period, its standard error, and the uncertainty of phases in periods."""
+
+    factor: float
+    error: float
+    width: float
+
+
+def stretch_of(stage: Weighed, x: Vector, clock: int = 0) -> Stretch:
+    """Return the period of a file from a fit to its samples, and the uncertainty of their phases.
 
     The orbit itself determines the period better than harmonics, which smooth its kinks.
 
     Args:
         stage: The residuals.
         x: The unknowns.
-
-    Returns:
-        Factor of the period, its standard error, and a width in periods.
+        clock: Index of the file.
     """
-    data = stage.data
-    own = slice(data.values.size)
-    jacobian, residuals = stage.jacobian(x)[own], stage.residuals(x)[own]
+    whole, data = stage.data, stage.data.part(clock)
+    jacobian, residuals = (
+        whole.entries(clock, one[: whole.values.size])
+        for one in (stage.jacobian(x), stage.residuals(x))
+    )
+    if whole.clocks is not None:
+        # Within one file the delay is the shift.
+        jacobian = np.delete(jacobian, -2, axis=1)
     if not data.seen.any():
         relative = stage.found.error / stage.found.period
         ends = relative * float(np.max(np.abs(data.turns), initial=0.0))
-        return 1.0, relative, jump_width(ends)
+        return Stretch(1.0, relative, jump_width(ends))
     since = np.repeat(data.turns + data.phases, data.seen.shape[1])
     late = jacobian[:, -1]
     columns = np.column_stack([jacobian, late * since])
@@ -261,7 +289,7 @@ def _stretch(stage: Weighed, x: Vector) -> tuple[float, float, float]:
     delays = replace(delays, numbers=delays_of(groups, late, late * since).values)
     error = max(math.sqrt(float(covariance[-1, -1])), period_error(delays, white))
     ends = math.sqrt(float(covariance[-2, -2])) + error * float(np.max(np.abs(since)))
-    return 1.0 + float(change[-1]), error, jump_width(ends)
+    return Stretch(1.0 + float(change[-1]), error, jump_width(ends))
 
 
 def deviation(orbits: Predictions, data: Folded, x: Vector) -> float:

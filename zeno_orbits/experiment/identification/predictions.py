@@ -19,7 +19,7 @@ from zeno_orbits.experiment.identification.event_period import (
     orbit_slope,
 )
 from zeno_orbits.experiment.identification.unknowns import Unknowns
-from zeno_orbits.experiment.orbit_table import Measurement
+from zeno_orbits.experiment.orbit_table import Measurement, measurement
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import EventReturn, closed_return, orbit_event_name
 from zeno_orbits.simulation import SimulationSettings
@@ -99,6 +99,21 @@ class Predictions:
             # The search for an orbit may leave the states that a simulation accepts.
             raise SimulationError("No orbit is found there", time=0.0, state=()) from error
 
+    def of_both(self, other: Predictions) -> Predictions:
+        """Return predictions of the channels of two files, with the unknowns of the second one."""
+        names = [*self._measured.names, *other._measured.names]
+        unknowns = replace(other.unknowns, elsewhere=())
+        return Predictions(self._problem, unknowns, measurement(self._problem, names), self._near)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the recorded signals."""
+        return self._measured.names
+
+    def shift(self, x: Vector, data: Folded) -> float | Vector:
+        """Return the delay of the orbit at the rows of samples, in periods."""
+        return float(x[-1]) + data.late(float(self._instruments.delay @ self.unknowns.numbers(x)))
+
     def accept(self, x: Vector) -> None:
         """Start the next searches from the orbit at these unknowns."""
         self._near = self.table(x).found
@@ -136,18 +151,18 @@ class Predictions:
 
     def fold(self, x: Vector, data: Folded) -> Fold:
         """Return the orbit at the phases of samples, as the channels read it."""
-        fold = data.predicted(self.table(x), float(x[-1]))
+        fold = data.predicted(self.table(x), self.shift(x, data))
         return self._instruments.fold(fold, self.unknowns.numbers(x))
 
     def bends(self, x: Vector, data: Folded) -> Vector:
         """Return the uncertainty of predicted means of a signal that is curved within a bin."""
         gain = self._instruments.gain(self.unknowns.numbers(x))
-        return data.bends(self.table(x), float(x[-1])) * gain
+        return data.bends(self.table(x), self.shift(x, data)) * gain
 
     def slopes(self, x: Vector, data: Folded) -> Slopes:
         """Return the exact derivatives of the predicted samples (theory (6.11))."""
         unknowns, table, instruments = self.unknowns, self.table(x), self._instruments
-        fold = data.predicted(table, float(x[-1]))
+        fold = data.predicted(table, self.shift(x, data))
         slope = self._slopes(table.p.tobytes())
         states = slope.at(fold.times)
         n_x = states.shape[1]
@@ -159,6 +174,8 @@ class Predictions:
         late = -fold.slopes[:, :, None] * table.period
         gain = instruments.gain(unknowns.numbers(x))[:, None]
         read = gain * (moved @ unknowns.ties) + instruments.by_numbers(fold.values)
+        if data.clocks is not None:
+            read += gain * late * data.clocks[:, None, None] * instruments.delay
         return Slopes(
             signals=np.concatenate([read * unknowns.scale, gain * late], axis=2),
             period=self._recorded_times(

@@ -12,7 +12,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.comparison import compare_recording
-from zeno_orbits.experiment.comparison.folding import Folded, folded
+from zeno_orbits.experiment.comparison.folding import Folded, folded, joined
 from zeno_orbits.experiment.comparison.instruments import corrected
 from zeno_orbits.experiment.comparison.overlay import shared_signals
 from zeno_orbits.experiment.identification.contact_rows import (
@@ -89,6 +89,20 @@ def prepared(
     """
     own = _prepared_events if problem.has_graph else _prepared_cycle
     return own(problem, begin, unknowns, recording, on_progress)
+
+
+def with_second(first: Prepared, second: Prepared) -> Prepared:
+    """Return the beginning of a fit of two files of one orbit, each on its own clock.
+
+    Args:
+        first: The beginning for the first file, whose clock tells the period.
+        second: The beginning for the second file, from the unknowns of the first one.
+    """
+    return replace(
+        first,
+        orbits=first.orbits.of_both(second.orbits),
+        samples=joined(first.samples, second.samples),
+    )
 
 
 def _prepared_cycle(

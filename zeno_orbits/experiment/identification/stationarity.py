@@ -149,7 +149,7 @@ def unsteady(found: Fit) -> Unsteady | None:
         skip = int(cycles.numbers[n // 2])
         return Unsteady(reason=reason + "or the machine drifted", first=True, skip=skip, size=later)
     odd = cycles.numbers % 2 == 1
-    if n > 2 and not found.data.span and 0 < odd.sum() < n:
+    if n > 2 and not np.any(found.data.span) and 0 < odd.sum() < n:
         turns, size = cycles.apart(odd, ~odd)
         if turns > least * cycles.scatter(2):
             reason = "every other cycle gives different parameters: the period is doubled"

@@ -121,9 +121,14 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
     own = edge_excess * edges.T @ edges + np.outer(jacobian[-1], jacobian[-1])
     together, misfit, common = _along_phase(samples, rest, data)
     # The other two values are estimates and may be too small. Independent noise is the lower bound.
-    scatters = [(together, _FREEDOM), (_along_time(samples, rest, data), _FREEDOM)]
-    if data.n_groups >= _LEAST_GROUPS:
-        scatters.append((_by_groups(samples, rest, data), data.n_groups - 1))
+    # Files on their own clocks have independent noise.
+    parts = [_part_of(samples, rest, data, clock) for clock in range(data.n_clocks)]
+    along = np.sum([_along_time(*part) for part in parts], axis=0)
+    scatters = [(together, _FREEDOM), (along, _FREEDOM)]
+    n_groups = min(part.n_groups for _, _, part in parts)
+    if n_groups >= _LEAST_GROUPS:
+        between = np.sum([_by_groups(*part) for part in parts], axis=0)
+        scatters.append((between, n_groups - 1))
     covariances = [inverse, *(inverse @ (gradient + own) @ inverse for gradient, _ in scatters)]
     freedoms = [_FREEDOM, *(freedom for _, freedom in scatters)]
     sizes = np.sqrt([np.maximum(np.diag(one)[:k], 0.0) for one in covariances])
@@ -146,6 +151,16 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
         common=common,
         edge_excess=edge_excess,
     )
+
+
+def _part_of(
+    samples: Vector, rest: Vector, data: Folded, clock: int
+) -> tuple[Vector, Vector, Folded]:
+    """Return derivatives, residuals and samples of one file."""
+    own, m = data.part(clock), samples.shape[2]
+    shape = own.values.shape
+    slopes = data.entries(clock, samples.reshape(-1, m)).reshape(*shape, m)
+    return slopes, data.entries(clock, rest.ravel()).reshape(shape), own
 
 
 def _excess(edges: Vector, rest: Vector, inverse: Vector) -> float:

@@ -65,6 +65,7 @@ class Unknowns:
         scale: Scales of the unknowns, ``(k,)``.
         lower: Lower bounds of the unknowns, ``(k,)``.
         upper: Upper bounds of the unknowns, ``(k,)``.
+        elsewhere: Channels of another file, which unknowns may name too.
     """
 
     base: Vector
@@ -75,6 +76,7 @@ class Unknowns:
     scale: Vector
     lower: Vector
     upper: Vector
+    elsewhere: tuple[str, ...] = ()
 
     @property
     def first(self) -> Vector:
@@ -109,7 +111,7 @@ class Unknowns:
         """
         for own in self.readings:
             for kind, channel in own:
-                if channel and channel not in channels:
+                if channel and channel not in (*channels, *self.elsewhere):
                     has = ", ".join(channels) or "none"
                     wanted = f"must name a recorded channel ({has})"
                     named = f"`{channel}.{kind.value}`"
