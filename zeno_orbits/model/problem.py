@@ -790,6 +790,8 @@ def _starts_at(problem: Problem, p: Sequence[float] | Vector) -> tuple[tuple[flo
 
     Where a formula fails, no motion starts. Then the scales are those at the defaults.
     """
+    if not any(callable(entry) for start in problem.starts for entry in start.values()):
+        return _usual_starts(problem)
     n_gains, numbers = len(problem.gains), [float(one) for one in p]
     values = ParameterValues(
         gains=dict(zip(problem.names[:n_gains], numbers, strict=False)),
@@ -798,8 +800,14 @@ def _starts_at(problem: Problem, p: Sequence[float] | Vector) -> tuple[tuple[flo
     try:
         states = [problem.state_vector(start, values) for start in problem.starts]
     except InputError:
-        states = [problem.state_vector(start) for start in problem.starts]
+        return _usual_starts(problem)
     return tuple(map(tuple, states))
+
+
+@lru_cache(maxsize=_MOST)
+def _usual_starts(problem: Problem) -> tuple[tuple[float, ...], ...]:
+    """Return the initial states at the defaults, each ``(n_x,)``."""
+    return tuple(map(tuple, map(problem.state_vector, problem.starts)))
 
 
 def _require_states(problem: Problem) -> None:

@@ -123,12 +123,13 @@ def _values_without_clock(dynamics: HybridDynamics, slopes: Vector) -> NDArray[n
 
 def _balanced(matrix: Vector) -> Vector:
     """Return a similar matrix whose rows and columns are of like size, whatever the units."""
-    balanced = matrix.copy()
-    for k in list(range(len(matrix))) * _SWEEPS:
-        others = np.arange(len(matrix)) != k
-        row, column = (np.linalg.norm(one[others]) for one in (balanced[k], balanced[:, k]))
-        if row > 0.0 and column > 0.0:
-            factor = math.sqrt(row / column)
+    balanced, n = matrix.copy(), len(matrix)
+    others = [np.delete(np.arange(n), k) for k in range(n)]
+    for k in list(range(n)) * _SWEEPS:
+        row, column = balanced[k, others[k]], balanced[others[k], k]
+        length, height = math.sqrt(row @ row), math.sqrt(column @ column)
+        if length > 0.0 and height > 0.0:
+            factor = math.sqrt(length / height)
             balanced[k] /= factor
             balanced[:, k] *= factor
     return balanced
