@@ -168,8 +168,9 @@ def test_the_pendulum_with_friction_is_the_limit_of_the_rig_with_that_part_alone
     # The distance falls with the root of the stiffness, theory (6.6).
     assert soft / stiff == pytest.approx(2.0, rel=0.02)
     assert 2 * stiff - soft == pytest.approx(0.0, abs=1e-6)
-    # The same part, declared by the problem or by the rig, is the same machine.
-    assert away(4e6, declared=False) == pytest.approx(stiff, abs=1e-9)
+    # The same part, declared by the problem or by the rig, is the same machine. Local errors move
+    # single periods on a stiff stop by up to 2e-7 s (docs/rig.md); the friction moves them by 1e-4.
+    assert away(4e6, declared=False) == pytest.approx(stiff, abs=2e-7)
 
 
 def test_friction_along_a_rate_that_a_declared_part_has_is_refused() -> None:
