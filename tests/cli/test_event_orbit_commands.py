@@ -360,7 +360,7 @@ def test_a_search_for_impacts_without_anything_to_vary_is_refused() -> None:
 
 def test_commands_for_machines_with_one_stop_refuse_the_problem_and_its_orbit() -> None:
     zo.write_orbit(event_orbit("hopper"), "hopper.json")
-    assert_refused(ask("zeno-condition", "relay"), "`relay`", "several stops")
+    assert_refused(ask("zeno-condition", "relay"), "`relay`", "has 2 stops")
     region = ("plot", "hopper.json", "-o", "pictures", "--kind", "region")
     assert_refused(ask(*region), "--kind region", "one stop")
     assert_refused(ask("plot", "hopper.json", "--kind", "zeno"), "--kind zeno")

@@ -83,6 +83,7 @@ class _Tried:
         self._tape = tape_of(function)
         self._program, self._zero = program, ctypes.c_longlong(0)
         self._problem = binding.ProblemType.from_buffer_copy(program.problem)
+        self._problem.code = None  # the formulas of the ball may be compiled
         place = self._problem.tapes[binding.LIFT]
         tape = self._tape
         place.n_varying, place.n_parameters = tape.n_varying, tape.n_parameters

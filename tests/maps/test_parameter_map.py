@@ -495,7 +495,7 @@ def test_curves_of_a_family_file_are_read_whichever_way_round(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("no JSON", "not complete JSON"),
+        ("no JSON", "it is not JSON"),
         ("{}", "curves are missing"),
         ('[{"name": "fold"}]', "curves are missing"),
         (

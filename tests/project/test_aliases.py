@@ -72,7 +72,7 @@ def test_a_removed_argument_is_refused_with_its_successor(
 
 
 def test_an_alias_is_the_object_of_its_new_name_and_warns(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(aliases, "ALIASES", {"Formerly": ("Clock", "model:Clock")})
+    monkeypatch.setattr(aliases, "ALIASES", {"Formerly": ("Clock", "model.clock:Clock")})
     with pytest.warns(
         DeprecationWarning, match=r"zeno_orbits\.Formerly is now zeno_orbits\.Clock"
     ) as told:

@@ -6,6 +6,7 @@ from .animation import mp4_of as mp4_of
 from .certificate import plot_certificate as plot_certificate
 from .family import plot_boundaries as plot_boundaries
 from .family import plot_families as plot_families
+from .family import plot_held_families as plot_held_families
 from .figure import figure_of as figure_of
 from .graph import plot_graph as plot_graph
 from .map import plot_map as plot_map
@@ -18,6 +19,7 @@ from .pushes import plot_pushes as plot_pushes
 from .recording import plot_comparison as plot_comparison
 from .region import has_zeno_region as has_zeno_region
 from .region import plot_zeno_set as plot_zeno_set
+from .scatter import plot_scatter as plot_scatter
 from .style import COLUMN_WIDTH as COLUMN_WIDTH
 from .style import FULL_WIDTH as FULL_WIDTH
 from .style import rendered as rendered
