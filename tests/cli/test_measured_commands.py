@@ -153,6 +153,7 @@ def test_misuse_is_one_line(folder: Path, arguments: tuple[str, ...], reason: st
     assert answer.err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_drop_is_identified_from_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

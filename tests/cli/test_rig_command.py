@@ -30,6 +30,7 @@ def refused(answer: Answer, message: str) -> bool:
     return answer.code == MISUSE and len(lines) == 1 and message in lines[0] and not answer.out
 
 
+@pytest.mark.slow
 def test_a_machine_is_printed_beside_the_orbit_as_simulated(file: Path) -> None:
     answer = ask("rig", file, *QUICK, "--cycles", "2")
     assert answer.code == YES
@@ -39,6 +40,7 @@ def test_a_machine_is_printed_beside_the_orbit_as_simulated(file: Path) -> None:
         assert row in answer.out
 
 
+@pytest.mark.slow
 def test_json_holds_the_numbers_of_orbit_and_machine_and_says_simulated(
     file: Path, orbit: Orbit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -174,6 +176,7 @@ def test_files_that_are_no_orbits_and_problems_that_are_none_are_refused(tmp_pat
     assert refused(plastic, "restitution=0: must be greater than 0 for a compliant contact")
 
 
+@pytest.mark.slow
 def test_a_machine_without_such_cycles_is_a_no_and_leaves_no_file(
     file: Path, tmp_path: Path
 ) -> None:

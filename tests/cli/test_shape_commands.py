@@ -145,6 +145,7 @@ def test_a_shape_that_is_none_is_refused_in_one_line(
     _one_line(capsys, "--shape: ", f"`{shape}`")
 
 
+@pytest.mark.slow
 def test_a_shape_that_is_not_there_is_a_no(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*STRUCK, "--shape", "impact", "--json"]) == 1
     assert not json.loads(capsys.readouterr().out)["found"]

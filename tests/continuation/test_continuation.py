@@ -384,6 +384,7 @@ def test_the_amplitude_of_a_point_is_half_the_travel_of_the_state_that_the_probl
     assert orbit_amplitude(OSCILLATOR, family, point) == pytest.approx(farthest / 2, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_family_whose_section_is_a_point_ends_where_the_motion_jumps() -> None:
     """Every motion of the juggler is released at one phase: it returns there after 5 turns or 6."""
     juggler = zo.load_problem(MACHINES / "juggler.py")

@@ -312,6 +312,7 @@ GRAZES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", _some(GRAZES, "two walls"))
 def test_a_flight_grazes_a_stop_after_any_impact(name: str) -> None:
     case = GRAZES[name]

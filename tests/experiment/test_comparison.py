@@ -626,6 +626,7 @@ def test_cycles_that_differ_in_turn_are_seen_with_few_samples(
     assert "every other cycle differs by 21 %" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", fast(1, [20, 200]))
 def test_a_coarse_encoder_is_no_deviation(
     steps: int, problem: Problem, orbit: Orbit, table: OrbitTable
@@ -668,6 +669,7 @@ def test_a_contact_channel_must_agree_with_the_recorded_gap(
     assert any(why in reason for reason in found.reasons) == bool(why), found.reasons
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("until", [2.0, 3.4, 5.0])
 def test_a_motion_that_grows_towards_the_orbit_is_no_other_orbit(
     orbit: Orbit, problem: Problem, until: float

@@ -52,6 +52,7 @@ def test_noise_is_on_every_signal_but_the_channels() -> None:
             assert size == pytest.approx(0.01, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bouncing_ball", "motor_pendulum"])
 def test_a_machine_with_one_stop_has_one_channel(name: str) -> None:
     run = zo.simulate_rig(name, until=1.5)
@@ -114,6 +115,7 @@ def test_samples_of_a_controller_have_their_own_rate_and_noise() -> None:
             zo.rig_recording(_run(), noise=noise)
 
 
+@pytest.mark.slow
 def test_periods_near_an_orbit_repeat_its_first_impacts() -> None:
     orbit = event_orbit("relay", "zeno open")
     rig = zo.Rig(contact=zo.Contact(stiffness=1e9))

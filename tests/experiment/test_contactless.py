@@ -218,6 +218,7 @@ def test_a_channel_of_a_stop_that_is_never_reached_agrees(name: str) -> None:
     assert "the orbit does not touch it" in found.reasons[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "word", "start", "true"),
     fast(

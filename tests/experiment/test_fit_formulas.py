@@ -448,6 +448,7 @@ def told(change: np.ndarray, seed: int = 7, per_cycle: int = PER_CYCLE) -> objec
     return unsteady(fit_of(data, noise + change[data.groups] * shapes(data.phases)[:, 0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_cycle", fast(1, [40, 20, PER_CYCLE]))
 def test_cycles_that_are_alike_are_steady(per_cycle: int) -> None:
     # Four comparisons with a chance of 1e-6 each. With 20 samples a cycle the median deviation of

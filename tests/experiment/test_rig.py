@@ -374,6 +374,7 @@ def test_a_sampled_disc_moves_as_matrix_exponentials_say(delay: float) -> None:
     assert run.states[-1] == pytest.approx(y[:3], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_noise_of_a_current_reaches_the_voltage_of_its_law() -> None:
     sigma, gain = 0.05, 2.0
     sampled = Controller(period=2e-3)
@@ -441,6 +442,7 @@ def test_fast_sampling_tends_to_the_feedback_of_the_model_at_first_order() -> No
     assert away[0] / away[1] == pytest.approx(10.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_run_is_the_same_for_the_same_seed_and_another_for_another(problem: Problem) -> None:
     rig = replace(default_rig(problem), gears={})
     assert rig.sensors is not None
@@ -496,6 +498,7 @@ def test_settled_cycles_begin_and_end_at_releases_and_repeat(
     assert np.all(settled.run.contact_force >= 0.0)
 
 
+@pytest.mark.slow
 def test_a_machine_that_does_not_lock_is_told_so(problem: Problem, orbit: Orbit) -> None:
     stuck = Rig(friction={"theta1": Friction(coulomb=0.5)})
     with pytest.raises(SimulationError, match=r"made \d cycles? with a lock where 3 were expected"):

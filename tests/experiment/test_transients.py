@@ -199,6 +199,7 @@ def test_gain_and_zero_of_a_camera_are_fitted_with_the_restitution() -> None:
         assert abs(value - truth) < 4 * error < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missed", range(1, 7))
 def test_a_bounce_that_was_not_heard_is_named(missed: int) -> None:
     times = bounces(9, 0.8)

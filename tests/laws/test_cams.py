@@ -189,6 +189,7 @@ def splined(cam: Cam, n: int, ends: str) -> CubicSpline:
     return CubicSpline(times, [*lifts, lifts[0]], bc_type=ends)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [22.0, 25.0, 28.0])
 def test_a_follower_leaves_a_cam_of_arcs_and_comes_to_rest_on_it_again(speed: float) -> None:
     wanted = cam_of_arcs(speed).follow(0.9, RESTITUTION)

@@ -107,6 +107,7 @@ def _impact(machine: str, kind: str, inductance: float) -> tuple[str, float]:
     return event_name(struck[number - 1]), struck[number - 1].time
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("machine", MACHINES)
 @pytest.mark.parametrize(("kind", "order"), [("quasi-static", 1), ("corrected", 2)])
 def test_impacts_of_several_stops_show_the_order_of_the_drive(

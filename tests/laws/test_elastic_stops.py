@@ -295,6 +295,7 @@ def test_orbits_with_elastic_impacts_have_the_multipliers_of_the_saltation_matri
     assert zo.verify(orbit, problem=OSCILLATOR).passed
 
 
+@pytest.mark.slow
 def test_a_family_ends_at_elastic_impacts_with_its_closed_form() -> None:
     c, omega, d = 0.3805, 1.6329, 0.3527
     machine = ImpactOscillator(amplitude=1.0, omega=omega, damping=c, stop=d, restitution=0.9)

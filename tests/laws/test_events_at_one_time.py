@@ -274,6 +274,7 @@ def dragged_limit(height: float, mu: float, e: float) -> float:
     return time
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("e", [0.1, 0.3])
 def test_a_flight_whose_top_is_below_the_tolerance_of_its_gap_has_not_landed(e: float) -> None:
     # The drag has a kink at the top of each flight, and masses are in flights that are as low.
@@ -985,6 +986,7 @@ def released_masses(restitutions: Sequence[float], spring: float = 0.0) -> zo.Pr
     return machine_of(model, states | {"cosine": "1", "sine": "1"}, {"omega": 0.3})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restitutions", [(0.3, 0.5), (0.2, 0.0), (0.4, 0.4), (0.0, 0.0)])
 def test_masses_that_a_clock_releases_together_move_as_each_alone(
     restitutions: tuple[float, ...],
@@ -1003,6 +1005,7 @@ def test_masses_that_a_clock_releases_together_move_as_each_alone(
     assert len(releases) == 2 * len(set(releases)) > 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restitutions", [(0.3, 0.5), (0.2, 0.0)])
 def test_derivatives_where_stops_open_together_are_those_of_each(
     restitutions: tuple[float, ...],

@@ -41,6 +41,7 @@ def _cases() -> list[Any]:
     return cases
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", _cases())
 def test_the_row_is_right_or_ends_in_its_named_error(row: Row) -> None:
     if row.ends_in is not None:

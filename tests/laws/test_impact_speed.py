@@ -63,6 +63,7 @@ def test_a_ball_has_the_impacts_and_the_zeno_time_of_its_recursion(law: str, e0:
     assert off <= run.zeno_points[0].limit_error + 1e-13
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["linear", "exponential"])
 def test_the_curve_of_many_impacts_ends_at_the_same_time(law: str) -> None:
     numbers = {**NUMBERS, "e0": 0.995, "c": 0.003}

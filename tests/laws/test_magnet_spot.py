@@ -64,6 +64,7 @@ def test_an_orbit_that_passes_the_spot_is_refused(unaware: Orbit) -> None:
     assert not verify(unaware, PROBLEM).passed
 
 
+@pytest.mark.slow
 def test_samples_at_bounded_steps_refuse_it_where_the_search_for_events_is_blind(
     unaware: Orbit,
 ) -> None:

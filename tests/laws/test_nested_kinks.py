@@ -195,6 +195,7 @@ def test_all_conditions_take_their_sides_anew_at_every_switch(name: str, in_cont
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["limit of a wave", "limit of a piecewise input", "choice at a limit", "table of a wave"],
@@ -440,6 +441,7 @@ def _period_map(kw: float, y: Vector, shift: float) -> Vector:
     return y
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kw", "shift"), fast(2, [(-0.3, 0.1), (-0.4, 0.0), (-0.3, -0.2), (-0.2, 0.15)])
 )
@@ -461,6 +463,7 @@ def test_multipliers_contain_the_jump_at_the_branch_cut_of_an_angle(
     assert any(name.startswith("switch kink") for name in orbit.sequence)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_a_random_machine_moves_as_its_formulas_say(seed: int) -> None:
     _require_equal(seed)

@@ -106,6 +106,7 @@ def test_the_loss_of_impacts_moves_as_its_differences() -> None:
         assert slope == pytest.approx(difference, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_a_family_in_the_fall_has_the_orbits_of_the_recursion() -> None:
     family = zo.continue_orbit(_marble(), ("fall", 0.0, 0.5)).families[0]
     assert {round(family.first.at.value, 9), round(family.last.at.value, 9)} == {0.0, 0.5}

@@ -318,6 +318,7 @@ def test_the_ball_moves_alike_in_all_units(
 
 
 # The gap acceleration after the first impact is nearly zero, and grows during the flight.
+@pytest.mark.slow
 @example(units=Units(mass=1.0, length=1.0, time=10.0), turn=0.0, drive=-1.0, e=0.5)
 @examples(30)
 @given(units=units, turn=between(-3, 3), drive=between(-2, 0), e=between(0, 0.8))
@@ -551,6 +552,7 @@ def test_the_simulated_zeno_time_is_as_good_as_it_says(
     assert assured.zeno_errors[0] < 1e-10
 
 
+@pytest.mark.slow
 @examples(4)
 @given(e=between(0.1, 0.7), c=magnitudes(1e-3, 10), g=between(1, 30), speed=magnitudes(1e-3, 30))
 def test_impacts_keep_their_speed_down_to_the_smallest_floats(

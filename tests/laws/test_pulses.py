@@ -66,6 +66,7 @@ def test_a_pulse_in_a_repeated_record_is_seen(height: float) -> None:
     assert run.end_state[:2] == pytest.approx(wanted, rel=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("speed", [1e-3, 1.0, 1e3])
 def test_a_pulse_on_the_way_of_a_mass_gives_it_its_energy(kind: str, speed: float) -> None:

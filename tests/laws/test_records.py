@@ -113,6 +113,7 @@ def test_a_record_may_decay_to_the_least_number(kind: str) -> None:
     assert np.array_equal(runs[0].end_state, runs[1].end_state)
 
 
+@pytest.mark.slow
 def test_samples_are_no_chatter_and_switches_have_a_limit_of_their_own() -> None:
     samples = np.random.default_rng(4).normal(size=30)
     few = SimulationSettings(most_impacts=3)
@@ -135,6 +136,7 @@ def test_samples_are_no_chatter_and_switches_have_a_limit_of_their_own() -> None
                 run(task)
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize("kind", ["linear", "monotone", "cubic"])
 @pytest.mark.parametrize("period", [2.0, None])
@@ -147,6 +149,7 @@ def test_loop_and_reference_agree_in_every_bit_under_a_record(
     agreed(problem, 3.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [161, 2000, 20_000])
 def test_a_rocking_block_obeys_equations_by_hand(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
     size, times = 2.2, np.arange(n) * 40.0 / n
@@ -177,6 +180,7 @@ def test_a_rocking_block_obeys_equations_by_hand(n: int, monkeypatch: pytest.Mon
     assert len(passed) == n - 1 + n % 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "halves"), [(20_000, 40), (10_000, 7)])
 def test_no_short_cell_of_a_smooth_record_is_passed_unseen(n: int, halves: int) -> None:
     # Where the input is level, a step that starts on a knot reaches over many cells.

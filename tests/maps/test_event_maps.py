@@ -104,6 +104,7 @@ def test_the_phrase_of_an_orbit_counts_events_and_zeno_points() -> None:
     assert plastic.period == pytest.approx(0.56457806957, abs=1e-10)
 
 
+@pytest.mark.slow
 def test_a_walker_that_loses_its_balance_falls() -> None:
     walks, falls = (
         _attractor("powered_walker", {"q1": 0.2, "q2": -0.2, "q3": -0.2, "dq1": rate})

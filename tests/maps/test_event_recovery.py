@@ -165,6 +165,7 @@ SHAKEN = zo.Problem(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", fast(1, range(3)))
 def test_a_ball_reaches_the_boundary_of_the_basin_and_does_not_cross_it(seed: int) -> None:
     # z' = -a z + b z^2 decays below a / b and grows above it. A release fixes all other states.

@@ -349,6 +349,7 @@ def test_the_command_answers_no_where_nothing_settles_to_a_zeno_orbit(finished: 
     assert "100.0 %" in answer.out
 
 
+@pytest.mark.slow
 def test_the_command_answers_yes_with_file_and_picture_and_removes_its_checkpoint(
     tmp_path: Path,
 ) -> None:

@@ -166,6 +166,7 @@ def test_points_of_the_ball_return_into_it_and_some_beyond_it_do_not() -> None:
     assert lost(3.0 * found.radius, 100) > 0
 
 
+@pytest.mark.slow
 def test_the_statement_about_the_share_is_that_of_all_tests_together() -> None:
     _, found = of_pendulum()
     doubt = (1 - found.lost_share) ** found.settings.samples

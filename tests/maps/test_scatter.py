@@ -102,6 +102,7 @@ def test_the_zeno_time_of_a_ball_has_the_deviation_of_the_delta_method() -> None
     assert row.linear == pytest.approx(first_order, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_simulated_moments_are_the_exact_ones() -> None:
     e, spread = 0.5, 0.1
     row, n = _of_ball().row(KICKED), _of_ball().samples[KICKED].size

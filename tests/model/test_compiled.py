@@ -99,6 +99,7 @@ def test_a_flow_that_is_not_finite_is_named() -> None:
         next(RungeKutta().steps(flow, np.array([1.0]), Tolerance()))
 
 
+@pytest.mark.slow
 def test_a_flow_that_blows_up_ends_in_a_named_error() -> None:
     flow = PlainFlow(field=lambda y: y**2, guard_and_rate=lambda _: (1.0, 0.0))
     starts: list[float] = []

@@ -72,6 +72,7 @@ def run(command: str) -> str:
     )
 
 
+@pytest.mark.slow
 def test_a_module_loads_no_library_that_it_needs_rarely() -> None:
     assert loaded_by(f"import {', '.join(EVERY_MODULE)}", RARE) == set()
 
@@ -88,6 +89,7 @@ def test_help_and_misuse_load_neither_casadi_nor_numpy() -> None:
     assert loaded_by("\n".join(map(run, HELP)), ("casadi", "numpy", *RARE)) == set()
 
 
+@pytest.mark.slow
 def test_the_problems_are_listed_without_scipy_and_in_json_without_rich() -> None:
     heavy = ("casadi", "matplotlib", "rich", "sympy", *SCIPY)
     assert loaded_by(run("problems"), heavy) == {"casadi", "rich"}

@@ -114,6 +114,7 @@ def test_a_map_shows_its_axes_and_counts_what_motions_settle_to() -> None:
     assert "Zeno periodic orbit: 2999, rest: 1" in text
 
 
+@pytest.mark.slow
 def test_runs_and_recordings_show_their_span_and_their_size(orbit: zo.Orbit) -> None:
     run = zo.simulate_rig("motor_pendulum", until=0.4)
     assert shown(run).startswith("<RigRun of motor_pendulum from 0 to 0.4 s: times=")

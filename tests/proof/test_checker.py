@@ -203,6 +203,7 @@ def test_a_false_claim_is_refused_by_its_name(
     assert _refused(check_proof(false)) == [name]
 
 
+@pytest.mark.slow
 def test_the_time_of_a_zeno_point_that_is_moved_is_refused(zeno: Certificate) -> None:
     false = copy.deepcopy(zeno)
     claim = _claim(false, "zeno_time")
@@ -369,6 +370,7 @@ def _tail(c: Certificate) -> Any:
     return next(record for record in c["passes"][0]["records"] if record["kind"] == "tail")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "falsify",
     fast(

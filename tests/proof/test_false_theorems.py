@@ -316,6 +316,7 @@ def test_a_problem_that_is_given_must_have_the_name_of_the_certificate(zeno: Cer
     assert "the problem `another`" in _refusal({**zeno, "problem": "another"}, oscillator)
 
 
+@pytest.mark.slow
 def test_formulas_are_asked_for_once_and_their_digest_is_told(zeno: Certificate) -> None:
     calls = list[int]()
     oscillator = load_problem("forced_oscillator")

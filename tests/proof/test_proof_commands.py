@@ -53,6 +53,7 @@ def test_verify_says_that_an_orbit_is_proved_if_its_certificate_is_accepted(
     assert "Proved" not in ask("verify", orbit).out
 
 
+@pytest.mark.slow
 def test_a_false_certificate_fails_the_orbit_and_names_the_claim(files: tuple[Path, Path]) -> None:
     orbit, proof = files
     answer = ask("verify", orbit, "--proof", _changed(proof, "longer.json", _longer), "--json")

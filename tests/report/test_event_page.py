@@ -44,6 +44,7 @@ def test_the_page_tells_the_events_in_their_order_with_times_and_multipliers() -
     assert f"{orbit.floquet_multipliers[0].real:.7f}"[:8] in page
 
 
+@pytest.mark.slow
 def test_the_curves_of_the_page_are_those_of_the_orbit() -> None:
     orbit, curves = event_orbit("kneed_walker"), _curves(_page("kneed_walker"))
     series = curves["series"]

@@ -47,6 +47,7 @@ def _spoiled(data: Any, text: str, chosen: int, count: list[int]) -> Any:
     return data
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", fast(1, COMMANDS))
 def test_no_text_of_a_file_commands_the_terminal(
     text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -200,6 +200,7 @@ def test_an_angle_that_passes_a_turn_gets_a_caution(
     assert all("theta1 runs from" in caution for caution in found)
 
 
+@pytest.mark.slow
 def test_a_long_sequence_of_hits_is_cut_in_its_middle(
     page: str, subject: Subject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -215,6 +216,7 @@ def test_a_long_sequence_of_hits_is_cut_in_its_middle(
     assert " more" not in _Reader(page_of(subject, load_bundle())).words
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("points", "said"), [(0, "flies on, 10 times"), (2, "2 times infinitely")])
 def test_a_period_with_another_number_of_zeno_points_has_its_own_words(
     subject: Subject, points: int, said: str

@@ -29,6 +29,7 @@ def slow(*names: str) -> list[Any]:
     return [pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
+@pytest.mark.slow
 def test_the_least_loss_that_keeps_an_impact_speed_has_its_closed_form() -> None:
     bound = zo.Bound(name="stop.impact_speed", lower=2.0)
     found = _search({"a": (5.0, 40.0)}, objective=zo.MinImpactLoss(), bounds=[bound])
@@ -58,6 +59,7 @@ def test_a_prescribed_period_is_reached() -> None:
     assert found.free["a"] == pytest.approx(23.0, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_the_fastest_contraction_is_at_the_least_restitution() -> None:
     found = _search({"restitution": (0.3, 0.6)}, objective=zo.MinSpectralRadius())
     assert found.free["restitution"] == pytest.approx(0.3, abs=1e-6)
@@ -227,6 +229,7 @@ def test_quantities_of_one_stop_have_their_closed_form() -> None:
         assert found[f"stop.{word}"] == pytest.approx([value, value], rel=1e-7), word
 
 
+@pytest.mark.slow
 def test_one_stop_is_searched_for_a_bound_on_an_event_and_for_the_least_loss() -> None:
     bound = zo.Bound(name="stop.impact_speed", upper=0.4)
     found = zo.search_gains("vibrating_table", vary={"A": (0.012, 0.017)}, bounds=[bound])

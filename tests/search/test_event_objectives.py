@@ -51,6 +51,7 @@ def _voltage(quantity: Callable[[CoilHop], float], value: float) -> float:
 # Objectives.
 
 
+@pytest.mark.slow
 def test_the_least_energy_has_its_closed_form() -> None:
     found = _search(zo.MinEnergy())
     assert found.orbit is not None
@@ -70,6 +71,7 @@ def test_the_least_peak_is_where_two_peaks_are_equal() -> None:
     assert found.value == pytest.approx(8.0 / 3.0, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_peak_of_a_speed_is_its_value_before_an_impact() -> None:
     found = _search(zo.MinPeak(signal="speed"), vary={"U": (8.0, 12.0)})
     assert found.value == pytest.approx(CoilHop(voltage=8.0).impact_speed, rel=1e-10)
@@ -136,6 +138,7 @@ def test_the_worst_case_over_a_range_has_its_closed_form() -> None:
 # Bounds.
 
 
+@pytest.mark.slow
 def test_bounds_on_signals_and_numbers_are_touched_where_they_decide() -> None:
     quantities: list[tuple[zo.Bound, Callable[[CoilHop], float], float]] = [
         (zo.Bound(name="height", upper=0.3), lambda hop: hop.highest, 0.3),
@@ -247,6 +250,7 @@ def test_derivatives_along_orbits_are_those_of_differences(name: str, parameter:
             assert _along(course, found, peak) == wanted, (signal, sign)
 
 
+@pytest.mark.slow
 def test_peaks_are_the_largest_values_of_a_fine_sampling() -> None:
     problem = zo.load_problem("limited_pendulum")
     near = zo.find_orbit(problem).unwrap()

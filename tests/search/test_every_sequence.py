@@ -118,6 +118,7 @@ def test_a_prescribed_period_of_a_driven_machine_is_that_of_its_drive() -> None:
     assert found.free["A"] == pytest.approx(5.0, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_a_bounded_optimum_has_its_closed_form() -> None:
     # v^2 = 2 a s / (1 - e^2) and the loss is a s, so the bound on v decides.
     e, s = 0.5, 0.1
@@ -268,6 +269,7 @@ def test_a_bounded_peak_is_kept_between_the_stages() -> None:
     assert found.value <= alone.value * (1 + 1e-6)
 
 
+@pytest.mark.slow
 def test_a_target_that_no_orbit_has_is_refused() -> None:
     found = zo.search_gains(
         "hopper",

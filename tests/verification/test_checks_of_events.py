@@ -82,6 +82,7 @@ class _Guard:
         return self._guard(self._flow.guards(states))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MACHINES)
 def test_a_true_orbit_passes_every_check_of_its_machine(name: str) -> None:
     seen = zo.verify(_orbit(name), settings=QUICK)
