@@ -821,7 +821,7 @@ def _require_states(problem: Problem) -> None:
         if named not in states:
             known = ", ".join(states)
             message = f"must name states ({known}), but it names `{named}`"
-            raise InputError(f"Argument `{argument}` {message}.{did_you_mean(named, states)}")
+            raise InputError(f"Argument `{argument}` {message}.{did_you_mean(str(named), states)}")
 
 
 def _chosen(
