@@ -258,7 +258,7 @@ def bound_system(
 
     nothing: Row = [None if node == graph.zero else node for node in free]
     rate = derivative(gap, nothing)
-    D, held, room, reaction = normalised(along, rate), -1, list[int](), list[int]()
+    direction, held, room, reaction = normalised(along, rate), -1, list[int](), list[int]()
     if view is not None and beside is not None:
         held = view.held
         at_held = derivative(gaps[held], nothing)
@@ -268,18 +268,20 @@ def bound_system(
         pushed_back = graph.put("neg", derivative(at_held, nothing))
         # States that the held stop keeps at rest would otherwise have wide rates.
         nothing = without_zeros(graph, _combined(graph, nothing, pushed_back, other))
-        turn = derivative(at_held, D)
+        turn = derivative(at_held, direction)
         if not are_equal(graph, [turn], [graph.zero]):
-            D = without_zeros(graph, _combined(graph, D, graph.put("neg", turn), other))
-            room, reaction = [derivative(rate, D)], [turn]
-            D = normalised(D, rate)
+            direction = without_zeros(
+                graph, _combined(graph, direction, graph.put("neg", turn), other)
+            )
+            room, reaction = [derivative(rate, direction)], [turn]
+            direction = normalised(direction, rate)
     acceleration = derivative(rate, nothing)
     if view is not None:
-        _require_positions(graph, x, n_q, nothing, D, gaps)
+        _require_positions(graph, x, n_q, nothing, direction, gaps)
     force = graph.put("neg", acceleration)
     # If coordinates determine gap and gap rate, the locked flow keeps them constant.
     pinned = () if row is None else (row, n_q + row)
-    locked = _combined(graph, nothing, force, D)
+    locked = _combined(graph, nothing, force, direction)
     locked = [None if k in pinned else node for k, node in enumerate(locked)]
     if held >= 0:
         locked = without_zeros(graph, locked)
@@ -287,10 +289,10 @@ def bound_system(
     _require_newton(formulas, graph, x, list(p.values()))
     rates = [derivative(node, nothing) for node in rows]
     gap_rates = [derivative(node, nothing) for node in gaps]
-    pushed = [derivative(node, D) for node in gap_rates]
+    pushed = [derivative(node, direction) for node in gap_rates]
     pairs = [(gap_rates[k], pushed[k]) for k in range(len(gaps)) if k != stop]
     if not _is_constant(graph, x, gap):
-        require_impacts(graph, x, D, gap=gap, rate=rate, rows=rows, beside=pairs)
+        require_impacts(graph, x, direction, gap=gap, rate=rate, rows=rows, beside=pairs)
     require_kept(graph, rows, rates)
     (masses,) = walked(formulas.inertia, graph, [x, list(p.values())])
     require_analytic(graph, masses)
@@ -312,7 +314,7 @@ def bound_system(
         "acceleration": [acceleration],
         "jerk": [derivative(acceleration, nothing)],
         "locked_jerk": [derivative(acceleration, locked)],
-        "direction": [[*D, *struck][k] for k in settling],
+        "direction": [[*direction, *struck][k] for k in settling],
         "law": [law],
         "room": [*room],
         "pushed": [*reaction],
@@ -497,7 +499,7 @@ def _require_positions(
     graph: Graph,
     x: Sequence[int],
     n_q: int,
-    free: Sequence[int],
+    free: Row,
     direction: Row,
     gaps: Sequence[int],
 ) -> None:
