@@ -14,6 +14,7 @@ SCRIPTS = sorted((ROOT / "benchmarks").glob("*.py"))
 REDUCED = {
     "beside_others": ("--quick", "--runs", "1"),
     "chatter_cascade": ("--most", "2"),
+    "comparison": ("--machines", "motor_flap", "--samples", "150", "--seeds", "1"),
     "contact_coverage": ("--recordings", "2", "--periods", "3"),
     "contact_fits": ("--quick",),
     "coverage": ("--quick", "--problems", "vibrating_table", "--workers", "1"),
