@@ -214,6 +214,16 @@ class ReturnMap(TableRepr):
             name: Name of the gain or parameter.
         """
         place = self._place_of(name)
+        if name not in self._known_sizes:
+            self._known_sizes[name] = self._size_at(place, name)
+        return self._known_sizes[name]
+
+    @cached_property
+    def _known_sizes(self) -> dict[str, float]:
+        """Sizes computed so far: that of a zero input takes a simulation."""
+        return {}
+
+    def _size_at(self, place: int, name: str) -> float:
         effects = np.concatenate([self.gain_jacobian, self.parameter_jacobian], axis=1)[:, place]
         effect = float(np.max(np.abs(effects) / self.sizes, initial=0.0))
         value = abs(self.values.number(name))
