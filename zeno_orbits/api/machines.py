@@ -96,7 +96,7 @@ def clock_words(first: RecordingDescription, second: RecordingDescription) -> st
         first: A file as it was understood.
         second: A second file of the same motion on another clock.
     """
-    from zeno_orbits.experiment.recordings.clocks import clock_words as told
+    from zeno_orbits.experiment import clock_words as told
 
     known = first.recording, second.recording
     return "" if known[0] is None or known[1] is None else told(known[0], known[1])

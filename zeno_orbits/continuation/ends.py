@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
+from zeno_orbits.arrays import Vector, spectral_radius
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.lock_end import locate_cut
 from zeno_orbits.continuation.margins import ENDS, LEAST_POWER, VanishingMargin, causes, stages
@@ -121,7 +121,7 @@ def _multipliers(used: Sequence[BranchPoint], gone: Margin) -> tuple[tuple[compl
     """
     values = np.array([node.found.margins[gone] for node in used])
     before, last = used[-2:]
-    sizes = [max(map(abs, node.multipliers), default=0.0) for node in (before, last)]
+    sizes = [spectral_radius(node.multipliers) for node in (before, last)]
     if min(sizes) > 0.0 and sizes[1] / sizes[0] > (values[-2] / values[-1]) ** LEAST_POWER:
         return last.multipliers, math.inf
     rows = np.array([np.sort_complex(np.array(node.multipliers)) for node in used])

@@ -20,6 +20,7 @@ from .orbit_table import OrbitTable as OrbitTable
 from .orbit_table import PeriodTable as PeriodTable
 from .orbit_table import measurable as measurable
 from .orbit_table import tabulate_orbit as tabulate_orbit
+from .recordings.clocks import clock_words as clock_words
 from .recordings.columns import Column as Column
 from .recordings.columns import ColumnNotes as ColumnNotes
 from .recordings.contacts import CONTACT as CONTACT

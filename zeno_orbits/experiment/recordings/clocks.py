@@ -60,7 +60,7 @@ def clock_words(first: Recording, second: Recording) -> str:
         return (
             f"the motion repeats: offsets that are {apart:.4g} s apart are equally likely by {by}"
         )
-    at = second.time[0] + step * (k - (round(spans[0] / step)))
+    at = second.time[0] + step * (k - round(spans[0] / step))
     return (
         f"by {by}, the clock of the second file shows {at:.6g} s at the beginning of the first "
         f"file, within {max(step, *steps):.2g} s"
@@ -109,9 +109,9 @@ def _even(one: Recording, name: str, step: float) -> Vector:
     """Return a signal without its mean on an even grid from its first time on."""
     values = one.signal(name).values
     known = np.isfinite(values)
-    if not known.any():
-        return np.zeros(round(float(one.time[-1] - one.time[0]) / step) + 1)
     n = round(float(one.time[-1] - one.time[0]) / step) + 1
+    if not known.any():
+        return np.zeros(n)
     at = one.time[0] + step * np.arange(n)
     found = np.asarray(np.interp(at, one.time[known], values[known]), dtype=np.float64)
     return found - float(np.mean(found))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
+from zeno_orbits.arrays import Vector, spectral_radius
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import (
@@ -127,7 +127,7 @@ class OrbitPaths:
                 raise StepError(f"The event sequence changes to `{', '.join(sequence)}`")
             margins: dict[str, float] = {}
             if is_stable:
-                radius = max(map(abs, multipliers_of_return(graph, found)), default=0.0)
+                radius = spectral_radius(multipliers_of_return(graph, found))
                 if not radius < 1.0:
                     raise StepError(f"The orbit is not stable: its spectral radius is {radius:.6g}")
                 margins[_ATTRACTION] = 1.0 - radius

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
+from zeno_orbits.arrays import Vector, spectral_radius
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import GraphDynamics, ParameterValues, Problem
 from zeno_orbits.orbits import (
@@ -100,7 +100,7 @@ class OrbitAtValues:
     def radius(self) -> float:
         """Spectral radius of the return."""
         multipliers = multipliers_of_return(self.graph, self.found)
-        return max((abs(mu) for mu in multipliers), default=0.0)
+        return spectral_radius(multipliers)
 
     def slope(self, reading: Reading) -> Slope:
         """Return a value with its derivative along the orbits.
