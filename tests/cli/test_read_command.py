@@ -95,7 +95,8 @@ def test_what_does_not_fit_is_refused_in_one_line(
 
 
 def test_the_examples_run(track: Path) -> None:
-    (track.parent / "data.csv").write_text("time [s],theta1 [deg]\n0,1\n1,2\n")
+    for name in ("data.csv", "video.csv", "logger.csv"):
+        (track.parent / name).write_text("time [s],theta1 [deg]\n0,1\n1,2\n")
     for words in examples("read"):
         answer = ask(*words)
         assert answer.code == YES, answer.err
