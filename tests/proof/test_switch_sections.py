@@ -281,11 +281,11 @@ def test_a_reset_throws_a_block_up_from_its_table() -> None:
 
 
 @pytest.mark.slow
-def test_two_stops_that_are_closed_at_the_same_time_are_refused_with_their_names() -> None:
+def test_two_stops_that_open_at_the_same_time_are_refused_with_their_names() -> None:
     problem = switched.two_blocks()
     proof = zo.prove(zo.find_orbit(problem).unwrap(), problem=problem)
     assert (proof.proved, proof.claim) == (False, "shape")
-    assert "is struck while stop `" in proof.reason
+    assert "open at the same time" in proof.reason
     assert "`left`" in proof.reason
     assert "`right`" in proof.reason
 

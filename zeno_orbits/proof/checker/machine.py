@@ -258,7 +258,9 @@ def require_first(machine: CertifiedMachine, box: Array, switch: int, mode: str)
     for k in {system.gap_row, *system.open_rows} - held:
         gap = system.gap(box) if k == system.gap_row else box[k]
         require(gap.low > 0, f"a gap may be closed before the switch: {gap.shown()}")
-    machine.require_pressure(machine.start, mode, box)
+    for one in machine.closed(machine.start, mode):
+        pull = machine.systems[one].value("acceleration", box)[0]
+        require(pull.high < 0, "the stop may not be under pressure before the switch")
     require_sides(system, box, switch)
 
 

@@ -60,6 +60,12 @@ def require_fit(orbit: Orbit, problem: Problem, values: ParameterValues) -> None
     problem.require_zeno_points(values)
     if orbit.has_phases:
         _require_stop(orbit, problem, values)
+    for k, event in enumerate(orbit.events):
+        before = orbit.events[k - 1]
+        if event.word == before.word == "release" and _is_caused(orbit, k):
+            both = " and ".join(f"`{one.name.partition(' ')[2]}`" for one in (before, event))
+            reason = f"stops {both} open at the same time, and one opening at a time is proved"
+            raise ProofError("shape", reason)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
