@@ -215,6 +215,7 @@ def test_search_ranks_attractors_that_coexist_and_prints_where_it_looked() -> No
     assert zo.read_orbit("best.json").start_state == data["start_state"]
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_orbits_that_are_not_stable_are_not_ranked() -> None:
     # From A = 4.1 the least loss belongs to an orbit that repels.

@@ -55,6 +55,7 @@ def test_json_holds_the_numbers_of_orbit_and_machine_and_says_simulated(
     assert "simulating the machine" in answer.err
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_machine_that_dies_away_is_not_called_settled(file: Path) -> None:
     # With readings that never arrive it swings without a voltage.
@@ -67,6 +68,7 @@ def test_a_machine_that_dies_away_is_not_called_settled(file: Path) -> None:
     assert "8 settled cycles." in fed.out
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_what_the_computer_reads_is_written_as_a_recording(file: Path, tmp_path: Path) -> None:
     written = tmp_path / "run.csv"

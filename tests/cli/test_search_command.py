@@ -141,6 +141,7 @@ def test_a_search_that_misses_says_which_conditions_by_name(here: Path) -> None:
     assert contents(here) == {}
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_period_that_no_orbit_has_ends_in_a_no_that_says_what_was_tried(here: Path) -> None:
     answer = ask("search", "motor_pendulum", "--objective", "period=5", "-o", "f.json")

@@ -105,6 +105,7 @@ def test_an_interrupted_trade_writes_nothing(
     assert contents(here) == {}
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 @needs_compiler
 def test_a_trade_shows_the_compiled_loop_beside_the_reference_with_the_same_error(

@@ -300,6 +300,7 @@ def test_the_folds_and_flips_of_the_pendulum_pass_their_cusp_and_end_where_a_fam
             assert sorted(ends) == pytest.approx(sorted(values), abs=1e-8)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_second_cusp_of_the_pendulum_is_where_two_folds_of_its_families_merge() -> None:
     # Its place is that of the curve; the families know of one parameter alone.

@@ -49,6 +49,7 @@ def test_values_are_within_two_standard_errors_and_unbiased(name: str) -> None:
             assert abs(np.mean(errors)) < 5 / np.sqrt(n), quantity
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_errors_are_neither_too_small_nor_too_wide() -> None:
     found = _errors("forced_oscillator", range(200, 230))

@@ -67,6 +67,7 @@ def test_channels_alone_give_intervals_that_hold() -> None:
     assert found.after == 0.0
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_channels_narrow_the_interval_of_the_restitution() -> None:
     start = {"ks": TRUTH["ks"], "R": TRUTH["R"]}
@@ -121,7 +122,10 @@ def test_a_wrong_model_is_reported_by_its_contacts() -> None:
     [
         # Two stops; one stop with resets, whose period is not that of a drive; and one impact.
         ("clapper", {"restitution": 0.33, "c": 0.11}, ("place",), 0.05),
-        ("kneed_walker", {"restitution": 0.22, "slope": 0.049}, ("q1", "q2", "q3"), 1e-3),
+        pytest.param(
+            *("kneed_walker", {"restitution": 0.22, "slope": 0.049}, ("q1", "q2", "q3"), 1e-3),
+            marks=pytest.mark.weekly,
+        ),
         ("hopper", {"restitution": 0.53, "a": 21.0}, ("height",), 3e-3),
     ],
 )

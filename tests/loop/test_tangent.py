@@ -14,7 +14,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.loop.agreement import looped, needs_compiler, task_of
-from tests.support.cases import fast
+from tests.support.cases import fast, often
 from tests.support.one_stop import one_stop_problems
 from tests.support.returns import multipliers_at
 from tests.support.units import Units, in_units
@@ -131,7 +131,7 @@ def test_every_arc_moves_as_in_python(name: str, engine: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(one_stop_problems())[::3])
+@pytest.mark.parametrize("name", often(2, sorted(one_stop_problems())[::3]))
 def test_every_arc_moves_by_every_parameter_as_in_python(name: str) -> None:
     problem = zo.load_problem(name)
     for start in range(len(problem.starts)):

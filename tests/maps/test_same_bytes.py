@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.loop.agreement import needs_compiler
+from tests.support.cases import often
 from zeno_orbits.maps import Axis, Plane, attractors_at, chunk_of
 from zeno_orbits.model import load_problem, locate_problem
 
@@ -36,7 +37,7 @@ def map_file(folder: Path, words: tuple[str, ...], workers: int = 1, **chosen: s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", [TABLE, PENDULUM])
+@pytest.mark.parametrize("words", often(1, [(TABLE,), (PENDULUM,)]))
 def test_a_map_is_the_same_file_whatever_has_been_compiled(
     tmp_path: Path, words: tuple[str, ...]
 ) -> None:
@@ -48,6 +49,7 @@ def test_a_map_is_the_same_file_whatever_has_been_compiled(
     assert [cold == usual, tapes == usual, waited == usual] == [True] * 3
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [TABLE, PENDULUM])
 def test_a_map_without_the_loop_has_the_same_attractors_to_rounding(

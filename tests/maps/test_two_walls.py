@@ -120,6 +120,7 @@ def test_ten_random_machines_with_laws_have_the_attractors_of_exact_flights() ->
     assert answers.count(None) <= 1
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_sixty_random_machines_with_two_stops_have_the_attractors_of_exact_flights() -> None:
     drawn = random.Random(2)

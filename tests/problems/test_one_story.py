@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import zeno_orbits as zo
+from tests.support.cases import often
 from tests.support.one_stop import one_stop_problems
 from tests.support.one_story import Story, data_story_of, story_of
 
@@ -23,6 +24,7 @@ FOLLOWED = {*WITH_AN_ORBIT} - {"two_tone_table"}
 """`continue` follows one release, or one impact, a period."""
 RECORDED = [name for name in WITH_AN_ORBIT if name != "filtered_pendulum"]
 """The filtered pendulum takes minutes, and is the pendulum with a lag in its law."""
+OWN = map(str, sorted(MACHINES.glob("[a-z]*.py")))
 
 
 def require_one(story: Story) -> None:
@@ -87,7 +89,7 @@ def test_a_bundled_problem(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*RECORDED, *map(str, sorted(MACHINES.glob("[a-z]*.py")))])
+@pytest.mark.parametrize("name", often(6, [*RECORDED, *OWN]))
 def test_a_stiff_machine_and_a_recording_tell_the_same_orbit(name: str) -> None:
     told = data_story_of(name)
     # `rig` takes one Zeno point a period, and `identify` an orbit that tells its restitution.

@@ -20,7 +20,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support import hard_to_prove, sheets
-from tests.support.cases import fast
+from tests.support.cases import fast, often
 from tests.support.orbits import shot_orbit
 from tests.support.pages import ROOT
 from zeno_orbits.proof import Proof, check_proof
@@ -134,7 +134,7 @@ SHEETS = [(name, rest) for name, one in sheets.MACHINES.items() for rest in one.
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "rest"), fast(1, SHEETS))
+@pytest.mark.parametrize(("name", "rest"), often(2, SHEETS[::-1]))
 def test_orbits_over_the_same_coordinates_have_theorems_that_name_their_sheet(
     name: str, rest: float
 ) -> None:
@@ -213,7 +213,7 @@ PROVED = (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", PROVED)
+@pytest.mark.parametrize("name", often(6, PROVED))
 def test_every_printed_interval_of_a_set_is_on_the_right_side_of_the_proved_one(name: str) -> None:
     problem = zo.load_problem(name)
     proof = zo.prove(zo.find_orbit_by_shooting(problem).unwrap())
@@ -503,6 +503,7 @@ def test_multipliers_are_printed_as_lying_in_a_union_of_discs(proofs: dict[str, 
     assert not any("disc" in line for line in proofs["motor_valve"].lines())
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_calibrated_parameters_are_named_as_held_fixed() -> None:
     orbit = shot_orbit("motor_pendulum")

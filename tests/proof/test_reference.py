@@ -9,6 +9,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.reference.many_digits.fixed_point import extended_orbit
+from tests.support.cases import often
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof import ProofSettings, prove_orbit
 from zeno_orbits.search import orbit_at_gains
@@ -24,6 +25,7 @@ def reference(orbit: Orbit) -> Orbit:
     return orbit
 
 
+@pytest.mark.weekly
 def test_the_reference_orbit_is_proved_around_its_many_digits(reference: Orbit) -> None:
     proof = zo.prove(reference)
     assert proof.proved, proof.verdict()
@@ -46,7 +48,7 @@ def test_the_reference_orbit_is_proved_around_its_many_digits(reference: Orbit) 
         assert enclosed.low - _DIGITS <= Fraction(str(truth)) <= enclosed.high + _DIGITS
 
 
-@pytest.mark.parametrize("restitution", [0.0, 0.3])
+@pytest.mark.parametrize("restitution", often(1, [0.0, 0.3]))
 def test_orbits_at_other_restitutions_are_proved(restitution: float) -> None:
     found = zo.find_orbit_by_shooting(
         "motor_pendulum", gains=GAINS, parameters={"restitution": restitution}
@@ -62,6 +64,7 @@ def test_a_whole_interval_of_a_gain_is_proved_at_once(reference: Orbit) -> None:
     assert proof.stable
 
 
+@pytest.mark.weekly
 def test_a_box_of_a_millionth_is_made_wider_until_it_is_taken_into_itself(
     reference: Orbit,
 ) -> None:
@@ -83,6 +86,7 @@ def test_an_orbit_that_repels_is_proved_by_krawczyks_operator() -> None:
     assert not proof.inside
 
 
+@pytest.mark.weekly
 def test_an_orbit_just_beyond_the_end_of_its_family_is_not_proved() -> None:
     # The locked arc vanishes at e = 0.41678996771.
     parameters = {"restitution": 0.4167}

@@ -828,6 +828,7 @@ def test_the_examples_of_the_help_run(orbit_file: Path, monkeypatch: pytest.Monk
         assert ask(*words[1:])[0] == YES
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_real_rig_lies_near_the_model(orbit: Orbit, problem: Problem) -> None:
     found = rig_counterpart(orbit, problem, 2)

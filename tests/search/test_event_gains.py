@@ -307,6 +307,7 @@ LOST = 1.06634747e-4
 """Energy lost at its worst corners [J]."""
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_six_switching_times_lose_a_quarter_of_what_two_lose() -> None:
     problem = pulsed_relay(SIX)

@@ -14,7 +14,7 @@ import pytest
 from scipy.optimize import brentq, fsolve
 
 import zeno_orbits as zo
-from tests.support.cases import fast
+from tests.support.cases import often
 from tests.support.commands import NO, YES, ask
 
 G = 9.81
@@ -28,7 +28,8 @@ def widest(name: str, free: dict[str, tuple[float, float]], **options: Any) -> z
     return found
 
 
-@pytest.mark.parametrize(("e", "a"), fast(0, [(0.2, (9.0, 12.0)), (0.5, (5.0, 40.0))]))
+@pytest.mark.slow
+@pytest.mark.parametrize(("e", "a"), often(1, [(0.2, (9.0, 12.0)), (0.5, (5.0, 40.0))]))
 def test_the_margin_of_a_hopper_has_its_closed_form(e: float, a: tuple[float, float]) -> None:
     found = widest("hopper", {"a": a}, parameters={"restitution": e})
     low, high = a
@@ -43,6 +44,7 @@ def test_a_hopper_near_its_end_has_a_narrow_margin() -> None:
     assert found.value == pytest.approx((7.4 - 0.75 * G) / 2.4, abs=1e-9)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_margin_in_two_parameters_is_the_smaller_of_the_closed_forms() -> None:
     found = widest("hopper", {"a": (5.0, 9.0), "restitution": (0.1, 0.6)}, parameters={"a": 9.0})
@@ -62,6 +64,7 @@ def test_the_margin_of_a_clapper_is_the_distance_to_the_end_of_its_family() -> N
     assert "the locked arc before `release" in found.detail
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_margin_does_not_depend_on_the_unit_of_length() -> None:
     metres = widest("clapper", {"A": (0.5, 3.0)})
@@ -70,6 +73,7 @@ def test_a_margin_does_not_depend_on_the_unit_of_length() -> None:
     assert millimetres.free["A"] == pytest.approx(1e-3 * metres.free["A"], rel=1e-6)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_walker_loses_its_gait_where_heel_strike_meets_the_zeno_point() -> None:
     # The published end of gaits with a Zeno knee.
@@ -146,6 +150,7 @@ def test_an_impact_pair_loses_its_stability_where_its_closed_form_does() -> None
 # Bounds.
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_margin_keeps_the_bounds() -> None:
     bound = zo.Bound(name="stop.impact_speed", upper=2.0)
@@ -204,6 +209,7 @@ def test_a_bound_that_no_orbit_keeps_is_answered_with_its_excess() -> None:
 # The command.
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_command_and_python_have_the_same_margin() -> None:
     words = ("search", "hopper", "--vary", "a=5:40", "--objective", "margin")

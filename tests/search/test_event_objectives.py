@@ -119,6 +119,7 @@ def test_an_amplitude_that_no_orbit_has_is_missed_by_a_printed_distance() -> Non
     assert f"by {1.0 - nearest:.3g}." in found.detail
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_worst_case_over_a_range_has_its_closed_form() -> None:
     ends = (2.5, 3.5)
@@ -310,6 +311,7 @@ def test_an_inert_switch_does_not_change_the_optimum(
         assert over_modes.value == pytest.approx(objective.rank(best), rel=1e-6)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_no_orbit_of_a_line_of_equal_periods_takes_less_energy() -> None:
     free = {"Kp": (1.5, 5.0), "Kd": (-1.4, -0.7)}
@@ -360,6 +362,7 @@ def test_the_largest_push_keeps_a_bound_and_has_its_closed_form() -> None:
     assert "The least push is 1." in found.told_push
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_least_push_over_a_range_is_that_of_the_weakest_corner() -> None:
     found = zo.search_gains(

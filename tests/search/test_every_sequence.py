@@ -219,7 +219,7 @@ def test_shooting_has_the_same_optimum(name: str, options: dict[str, Any]) -> No
                 "bounds": [zo.Bound(name="theta2", upper=1.9)],
             },
         ),
-        ("powered_walker", {"objective": zo.MinEnergy()}),
+        pytest.param("powered_walker", {"objective": zo.MinEnergy()}, marks=pytest.mark.weekly),
         ("powered_walker", {"objective": zo.TargetPeriod(target=0.55)}),
     ],
 )
@@ -232,6 +232,7 @@ def test_shooting_has_the_same_optimum_of_motors(name: str, options: dict[str, A
     assert program.value == pytest.approx(shooting.value, rel=1e-5)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_gap_that_touches_zero_at_the_optimum_is_no_impact() -> None:
     # Shooting comes within 1.3e-10 of the bound and refuses its optimum, 2.02765e-6 J.

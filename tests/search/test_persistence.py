@@ -43,6 +43,7 @@ def test_the_margin_in_two_numbers_is_the_smaller_of_the_known_distances() -> No
     assert margin == pytest.approx(min((1.0 - 0.8 * 0.9) / 0.3, 1.0), abs=1e-6)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_opposite_losses_leave_the_middle_between_them() -> None:
     # At k the stiffness may grow to A / 0.8. What ends the orbit below is found by `continue`.

@@ -37,6 +37,7 @@ def spring_push(weight: float) -> float:
     return least.largest
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_least_push_scales_with_the_weight_of_the_mass() -> None:
     # With x in units of the weight the equation of motion has no weight: pushes scale with it.
@@ -64,6 +65,7 @@ def test_the_least_push_is_the_smallest_of_all_rays(name: str) -> None:
         assert one.largest / one.searched <= 1.0
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_push_in_proportion_to_the_weight_is_largest_at_the_largest_weight() -> None:
     at_one = spring_push(1.0)
@@ -122,6 +124,7 @@ def test_over_an_uncertain_box_the_push_is_the_least_of_its_corners() -> None:
     assert push == pytest.approx(min(least), rel=3e-3)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_bound_is_kept_by_the_gains_of_the_largest_push() -> None:
     problem = zo.load_problem("motor_pendulum")

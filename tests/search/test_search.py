@@ -319,6 +319,7 @@ def test_a_target_of_a_gain_that_the_problem_does_not_have_is_refused(problem: P
         )
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost() -> None:
     pendulum = load_problem("motor_pendulum")

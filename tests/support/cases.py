@@ -1,4 +1,4 @@
-"""Cases of a law: a few in every run, all with the slow tests."""
+"""Cases of a law: a few in every run, more with the slow tests, all with the weekly ones."""
 
 from __future__ import annotations
 
@@ -10,9 +10,14 @@ import pytest
 
 def fast(n: int, cases: Iterable[Any]) -> list[Any]:
     """Return the cases of a parametrization, those after the first `n` marked as slow."""
-    return [case if k < n else _slow(case) for k, case in enumerate(cases)]
+    return [case if k < n else _marked(case, pytest.mark.slow) for k, case in enumerate(cases)]
 
 
-def _slow(case: Any) -> Any:
+def often(n: int, cases: Iterable[Any]) -> list[Any]:
+    """Return the cases of a slow test, those after the first `n` marked as weekly."""
+    return [case if k < n else _marked(case, pytest.mark.weekly) for k, case in enumerate(cases)]
+
+
+def _marked(case: Any, *marks: Any) -> Any:
     values = case if isinstance(case, tuple) else (case,)
-    return pytest.param(*values, marks=pytest.mark.slow)
+    return pytest.param(*values, marks=marks)
