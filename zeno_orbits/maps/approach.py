@@ -42,6 +42,7 @@ class Accuracy:
         exact: Largest last step of Newton's method. The error of the orbit is about the square of
             this step, and the error of the multipliers is about the step itself.
         repeats: Change that counts as repeating if Newton's method is not available.
+        exponents: Whether a motion that does not repeat is simulated on for its Lyapunov exponent.
     """
 
     motion: float = 1e-8
@@ -49,6 +50,7 @@ class Accuracy:
     near: float = 0.02
     exact: float = 2e-6
     repeats: float = 1e-7
+    exponents: bool = True
 
     @property
     def reached(self) -> float:

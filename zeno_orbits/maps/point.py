@@ -530,8 +530,14 @@ class Point:
             trend = settling.trend
             if settling.outcome is AttractorKind.DIES_OUT:
                 return Attractor(fate=AttractorClass.REST)
-        close = self._accuracy.repeats
-        found = verdict(self._graph, self._log, state, self._until, close=close)
+        found = verdict(
+            self._graph,
+            self._log,
+            state,
+            self._until,
+            close=self._accuracy.repeats,
+            goes_on=self._accuracy.exponents,
+        )
         if found.cycle is not None:
             events = found.cycle.events
             return self._unclosed(events, found.cycle.period, np.asarray(events[-1].after))

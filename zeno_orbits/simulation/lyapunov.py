@@ -84,12 +84,12 @@ def largest_exponent(
     if serves(task):
         with closing(pair_by_loop(task, direction, scale)) as pair:
             try:
-                return _averaged(pair.rates)
+                return _averaged(pair.rates, turn)
             except UnknownOperationError:
                 # Of a mode that a motion has come to.
                 pass
     rates = rates_turn_by_turn(task, direction, scale)
-    return _averaged(lambda count: [one for one in islice(rates, count) if one is not None])
+    return _averaged(lambda count: [one for one in islice(rates, count) if one is not None], turn)
 
 
 def pair_by_loop(task: SimulationTask, direction: Vector, scale: Vector) -> PairByLoop:
@@ -140,46 +140,29 @@ def _free(graph: GraphDynamics, n_x: int) -> list[int]:
     return [k for k in range(n_x) if k not in graph.first.clock]
 
 
-def _averaged(rates_of: Callable[[int], Sequence[float]]) -> Exponent:
+def _averaged(rates_of: Callable[[int], Sequence[float]], turn: float) -> Exponent:
     """Return the mean of as many rates as its error asks for.
+
+    A motion that forgets every disturbance within a few turns has few rates, or none.
 
     Args:
         rates_of: Function from a number of turns to the rates of the next turns.
+        turn: Length of a turn [s].
     """
-    rates = list(rates_of(_SETTLING + _ROUNDS[0]))
-    exponent = _mean(np.array(rates[_SETTLING:]))
+    rates = list(rates_of(_SETTLING + _ROUNDS[0])) or [math.log(_VANISHED) / turn]
+    exponent = _mean(np.array(rates[_SETTLING:] or rates))
     for count in _ROUNDS[1:]:
         if abs(exponent.value) * _CLEAR > exponent.error:
             break
         rates += rates_of(count)
-        exponent = _mean(np.array(rates[_SETTLING:]))
+        exponent = _mean(np.array(rates[_SETTLING:] or rates))
     return exponent
 
 
-def states_at_turns(
-    graph: GraphDynamics, state: Vector, turn: float, count: int, settings: SimulationSettings
-) -> list[Vector]:
-    """Return the states of a motion at the ends of periods, with the first state in front.
-
-    Args:
-        graph: The graph of modes.
-        state: The first state, ``(n_x,)``.
-        turn: Length of a period [s].
-        count: Number of periods.
-        settings: Accuracy of the simulation.
-
-    Raises:
-        SimulationError: If the motion cannot be continued.
-    """
-    states = [state]
-    for _ in range(count):
-        states.append(_after(graph, states[-1], turn, settings)[0])
-    return states
-
-
 def _mean(rates: Vector) -> Exponent:
-    blocks = np.array([np.mean(block) for block in np.array_split(rates, _BLOCKS)])
-    spread = float(np.std(blocks, ddof=1)) / math.sqrt(_BLOCKS)
+    count = min(_BLOCKS, len(rates))
+    blocks = np.array([np.mean(block) for block in np.array_split(rates, count)])
+    spread = float(np.std(blocks, ddof=1)) / math.sqrt(count) if count > 1 else 0.0
     return Exponent(value=float(np.mean(rates)), error=_DEVIATIONS * spread, turns=len(rates))
 
 
@@ -208,7 +191,6 @@ def _beside(
 def _after(
     graph: GraphDynamics, state: Vector, time: float, settings: SimulationSettings
 ) -> tuple[Vector, GraphMode]:
-    """Return the state of a motion after a time, and its mode."""
     task = SimulationTask(dynamics=graph, state=state, until=time, settings=settings, goes_on=True)
     end, mode = state, graph.open_mode
     for piece in pieces(task):

@@ -15,8 +15,16 @@ from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import GraphDynamics, HybridDynamics, own_time
 from zeno_orbits.simulation.attractor import AttractorKind, scale_of
 from zeno_orbits.simulation.events import Event, Impact, SwitchEvent
-from zeno_orbits.simulation.lyapunov import Exponent, largest_exponent, states_at_turns
-from zeno_orbits.simulation.watch import MotionEnd, clock_turn, transient_settings, watched_motion
+from zeno_orbits.simulation.lyapunov import Exponent, largest_exponent
+from zeno_orbits.simulation.settings import SimulationTask
+from zeno_orbits.simulation.simulator import pieces
+from zeno_orbits.simulation.watch import (
+    MotionEnd,
+    Reason,
+    clock_turn,
+    transient_settings,
+    watched_motion,
+)
 
 _KEPT = 512
 """Number of stored impacts and switches. A period of up to half of them is found."""
@@ -28,6 +36,8 @@ _STRIDES, _STEADY = 4, 0.1
 """Impacts of a period in the search for a drift, and the relative spread of a steady change."""
 _TURNS = 32
 """Longest period in the search for motions without impacts, in turns of the clock."""
+_REPEATED = 3.0
+"""Turns in which a motion that has converged shows its period twice."""
 _NEARLY = 1e3
 """Factor of the change that counts as zero, up to which a motion settles to a shorter period."""
 _REGULAR = 1e-3
@@ -38,6 +48,8 @@ _BOUNDED = 0.05
 """Largest error of that, over a turn: distances of regular motions go up and down by turns."""
 _ERROR = 1e-10
 """Local error of the runs that an exponent is taken from."""
+_ALIKE = 1e-2
+"""Relative change of the fastest impact over a period that repeats."""
 _ROUNDED, _COUNTED = 1e-15, 1e-13
 """Change of the speed per impact that differs from zero by rounding, and that has no digit."""
 
@@ -120,9 +132,14 @@ class MotionLog:
         if n_seen < 3:
             return None
         rows = np.array([self.events[k][1].after for k in marks]) / self.scale()
+        speeds = np.array([_speed(self.events[k][1]) for k in marks])
         away = np.max(np.abs(rows[-1] - rows[:-1]), axis=1)[::-1]
         for place in np.flatnonzero(away[: (n_seen - 1) // 2] < close).tolist():
             n = place + 1
+            # Impacts that accumulate differ by less and less, but not in proportion.
+            fastest, before = np.max(speeds[-n:]), np.max(speeds[-2 * n : -n])
+            if abs(fastest - before) > _ALIKE * before:
+                continue
             if np.max(np.abs(rows[-n:] - rows[-2 * n : -n])) < close:
                 first, last = marks[-1 - n], marks[-1]
                 within = [one for _, one in list(self.events)[first + 1 : last + 1]]
@@ -161,6 +178,10 @@ class MotionLog:
         return all(later > _GROWS * before for before, later in pairs)
 
 
+def _speed(event: Event) -> float:
+    return -event.approach_rate if isinstance(event, Impact) else 0.0
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttractorVerdict:
     """Classification of a motion at the end of its time limit.
@@ -181,7 +202,13 @@ class AttractorVerdict:
 
 
 def verdict(
-    graph: GraphDynamics, log: MotionLog, state: Vector, time: float, *, close: float
+    graph: GraphDynamics,
+    log: MotionLog,
+    state: Vector,
+    time: float,
+    *,
+    close: float,
+    goes_on: bool = True,
 ) -> AttractorVerdict:
     """Classify a motion that neither rests nor diverges.
 
@@ -191,6 +218,7 @@ def verdict(
         state: Final state, ``(n_x,)``.
         time: Duration of the simulation [s].
         close: Relative change over a period that counts as zero.
+        goes_on: Whether the motion is simulated on, for its Lyapunov exponent.
     """
     cycle, drift = log.cycle(close), log.drift()
     if cycle is not None and not drift:
@@ -203,13 +231,15 @@ def verdict(
         much = f"{abs(drift):.1g}" if abs(drift) > _COUNTED else f"less than {_COUNTED:g}"
         reason = f"its impacts become steadily {word}, by {much} of their speed each"
         return AttractorVerdict(kind=AttractorKind.UNDECIDED, reason=reason)
+    if not goes_on:
+        return AttractorVerdict(kind=AttractorKind.UNDECIDED, reason="it does not repeat")
     settings = transient_settings(_ERROR)
     try:
         if not log.last > time / 2:
             return without_events(graph, log, state, close)
         turn = clock_turn(graph.first, state) or own_time(graph.first, state)
         found = largest_exponent(graph, state, turn=turn, scale=log.scale(), settings=settings)
-        later = _later(graph, log, state, found, time, close)
+        later = _later(graph, log, state, found, turn, time, close)
         if later is not None:
             return later
     except SimulationError as error:
@@ -225,22 +255,29 @@ def _later(
     log: MotionLog,
     state: Vector,
     exponent: Exponent,
+    turn: float,
     time: float,
     close: float,
 ) -> AttractorVerdict | None:
     """Classify a motion that comes nearer to an orbit after the time that its exponent asks for.
 
-    The time is at most as long again as the simulation. ``None`` if that is not enough.
+    The time is at most as long again as the simulation, or a few turns. ``None`` if that is not
+    enough, or if the motion ends before.
     """
     if exponent.value + exponent.error >= 0.0:
         return None
     needed = math.log(close) / exponent.value
     if needed > time:
         return None
+    needed = max(needed, _REPEATED * turn)
     after = MotionLog(units=log.units, usual=log.usual, elastic=log.elastic)
     for piece in watched_motion(graph, state, until=needed, error=_ERROR, goes_on=True):
+        if isinstance(piece, MotionEnd):
+            if piece.reason is not Reason.HORIZON:
+                return None
+            break
         state = piece.state
-        for event in () if isinstance(piece, MotionEnd) else piece.events:
+        for event in piece.events:
             after.add(event)
     cycle = after.cycle(close)
     if cycle is not None:
@@ -271,8 +308,10 @@ def without_events(
     turn = clock_turn(graph.first, state)
     if turn is None:
         return undecided
-    settings = transient_settings(_ERROR)
-    states = states_at_turns(graph, state, turn, 2 * _TURNS, settings)
+    states = _states_at_turns(graph, state, turn)
+    if states is None:
+        reason = "it meets its next event after the time limit"
+        return AttractorVerdict(kind=AttractorKind.UNDECIDED, reason=reason)
     scale = scale_of(states, log.units, log.usual)
     rows = np.array(states) / scale
     changes = [float(np.max(np.abs(rows[n:] - rows[:-n]))) for n in range(1, _TURNS + 1)]
@@ -281,6 +320,21 @@ def without_events(
         turns = 1 + next(k for k, change in enumerate(changes) if change < _NEARLY * close)
         return AttractorVerdict(kind=AttractorKind.REPEATS, turns=turns)
     return undecided
+
+
+def _states_at_turns(graph: GraphDynamics, state: Vector, turn: float) -> list[Vector] | None:
+    """Return the states of a motion at periods of its clock, ``None`` if it meets an event."""
+    states, settings = [state], transient_settings(_ERROR)
+    for _ in range(2 * _TURNS):
+        task = SimulationTask(
+            dynamics=graph, state=state, until=turn, settings=settings, goes_on=True
+        )
+        for piece in pieces(task):
+            if any(isinstance(event, Impact | SwitchEvent) for event in piece.events):
+                return None
+            state = piece.state
+        states.append(state)
+    return states
 
 
 def _by_exponent(found: Exponent, turn: float) -> AttractorVerdict:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from zeno_orbits.simulation import Execution, simulate
 N_STATES = 24
 """Initial states from which motions start."""
 _MOST_DRAWN = 8 * N_STATES
+_ORBITS_ONLY = replace(ACCURACY, exponents=False)
 _WIDER = 1.0
 """Margin of the box of states on either side, in units of the state's range over the orbit."""
 _PARTS = np.linspace(0.0, 1.0, 9)
@@ -90,7 +92,7 @@ def _attractor(
     """Return the attractor from a state if it is a periodic orbit."""
     start = dict(zip(problem.state_names, state.tolist(), strict=True))
     try:
-        (one,) = attractors_at(problem, [values], start=start, until=until, accuracy=ACCURACY)
+        (one,) = attractors_at(problem, [values], start=start, until=until, accuracy=_ORBITS_ONLY)
     except ZenoOrbitsError:
         return None
     return one if one.fate in ORBITS and one.state else None
