@@ -109,6 +109,20 @@ def test_late_impacts_that_scatter_shifts_far_count_as_scattered() -> None:
     assert one.low < 0.79 < one.high
 
 
+def test_the_error_of_three_impacts_is_as_long_as_their_interval() -> None:
+    """Two restitutions that agree by chance are no knowledge of their scatter."""
+    seen = (0.13, 0.138, -0.07, 0.03, 0.1)
+    found = zo.identify(
+        "bouncing_ball", drop(6, 0.53, 0.1, first=seen), ["restitution"], transient=True
+    )
+    (one,) = found.fitted
+    assert found.transient is not None
+    assert math.isfinite(found.transient.scatter)
+    # A normal distribution has 95 % within 1.96 errors, and Student's with one degree in 12.7.
+    assert one.error == pytest.approx((one.high - one.low) / 2 / 1.96, rel=0.05)
+    assert abs(one.value - 0.53) < 4 * one.error
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scatter", [0.03, 0.1])
 def test_several_drops_separate_scatter_from_a_law(scatter: float) -> None:

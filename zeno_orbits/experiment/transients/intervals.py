@@ -45,6 +45,18 @@ def degrees(fit: StagedFit) -> int:
     return max(len(fit.rest) - int(np.linalg.matrix_rank(fit.jacobian)), 1)
 
 
+def quantile_of(fit: StagedFit, freedom: float | None = None) -> float:
+    """Return the ratio of half a 95 % interval to a standard error.
+
+    Args:
+        fit: The optimum.
+        freedom: Degrees of freedom of the error, by default of the residuals.
+    """
+    from scipy.stats import t as student
+
+    return float(student.ppf(0.975, degrees(fit) if freedom is None else freedom))
+
+
 def profile_ends(
     shooting: Shooting, fit: StagedFit, k: int, inflation: float, freedom: float | None = None
 ) -> tuple[float, float]:
@@ -57,9 +69,7 @@ def profile_ends(
         inflation: Ratio of the errors to those for independent residuals.
         freedom: Degrees of freedom of the error, by default of the residuals.
     """
-    from scipy.stats import t as student
-
-    limit = float(student.ppf(0.975, degrees(fit) if freedom is None else freedom)) * inflation
+    limit = quantile_of(fit, freedom) * inflation
     scale = math.sqrt(fit.cost / degrees(fit))
     covariance = covariance_of(fit)
     error = scale * math.sqrt(max(covariance[k, k], 0.0))

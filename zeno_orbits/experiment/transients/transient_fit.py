@@ -28,7 +28,12 @@ from zeno_orbits.experiment.identification.unknowns import (
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.experiment.transients.event_noise import EventNoise, event_noise
 from zeno_orbits.experiment.transients.event_record import EventSeries
-from zeno_orbits.experiment.transients.intervals import covariance_of, degrees, profile_ends
+from zeno_orbits.experiment.transients.intervals import (
+    covariance_of,
+    degrees,
+    profile_ends,
+    quantile_of,
+)
 from zeno_orbits.experiment.transients.motion import SETTINGS, TransientMotion
 from zeno_orbits.experiment.transients.residual_tests import ResidualTests, tested
 from zeno_orbits.experiment.transients.scattered_impacts import MixedFit, mixed_fit
@@ -71,6 +76,8 @@ _EXACT = 1e-5
 """Residuals relative to the range of the channels that are rounding and no scatter."""
 _EDGE = 1e-3
 _ROUNDS = 3
+_NORMAL = 1.959964
+"""Half of a 95 % interval in standard errors of a normal distribution."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -170,7 +177,8 @@ class SharedValue:
 
     Attributes:
         value: The value.
-        error: Standard error, infinite if the trials do not determine it.
+        error: Standard error, infinite if the trials do not determine it. Where few data determine
+            it, that of a normal distribution with as wide a 95 % interval.
         low: Lower end of the 95 % interval.
         high: Upper end.
     """
@@ -660,7 +668,9 @@ class _Basis:
             other = z.copy()
             other[j] = end
             ends.append(float(shooting.values(other)[j]))
-        error = self._scale * math.sqrt(max(float(covariance_of(self.found)[j, j]), 1e-300))
+        # Few impacts tell their own scatter badly: two errors are then less than 95 %.
+        few = quantile_of(self.found, freedom) / _NORMAL
+        error = few * self._scale * math.sqrt(max(float(covariance_of(self.found)[j, j]), 1e-300))
         return SharedValue(
             value=float(shooting.values(z)[j]),
             error=abs(float(shooting.slopes(z)[j])) * error,
