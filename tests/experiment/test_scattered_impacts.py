@@ -123,6 +123,19 @@ def test_the_error_of_three_impacts_is_as_long_as_their_interval() -> None:
     assert abs(one.value - 0.53) < 4 * one.error
 
 
+def test_an_interval_that_rests_on_few_impacts_says_that_it_contains_no_scatter() -> None:
+    """Impacts that agree by chance give an interval far from the mean restitution."""
+    seen = (-0.01, -0.017, -0.025, 0.13, -0.09)
+    found = zo.identify(
+        "bouncing_ball", drop(7, 0.506, 0.1, first=seen), ["restitution"], transient=True
+    )
+    (one,) = found.fitted
+    assert one.high < 0.506
+    assert sum("cannot show a scatter of `restitution`" in word for word in found.remarks) == 1
+    many = _fit(2, 0.75, 0.0)
+    assert not any("cannot show a scatter" in word for word in many.remarks)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scatter", [0.03, 0.1])
 def test_several_drops_separate_scatter_from_a_law(scatter: float) -> None:

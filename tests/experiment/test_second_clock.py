@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -153,13 +154,18 @@ def test_a_second_file_belongs_to_one_transient(tmp_path: object) -> None:
     assert "--law" in answer.err
 
 
-@pytest.mark.slow
-def test_two_files_of_an_orbit_give_parameters_and_the_clock_up_to_periods() -> None:
+@cache
+def _orbit_files(k: float = 1.03) -> tuple[zo.Orbit, zo.Recording, zo.Recording]:
+    """Return an orbit with `k`, and the distance and the speed of that with 1.03 on two clocks."""
     problem = zo.load_problem("forced_oscillator")
-    true = {"k": 1.03, "restitution": 0.49}
-    orbit = orbit_by_shooting(problem, problem.values(parameters=true)).unwrap()
-    table, period = tabulate_orbit(orbit, problem, ["distance", "speed"]), orbit.period
-    random = np.random.default_rng(5)
+    orbits = [
+        orbit_by_shooting(
+            problem, problem.values(parameters={"k": own, "restitution": 0.49})
+        ).unwrap()
+        for own in dict.fromkeys((1.03, k))
+    ]
+    table = tabulate_orbit(orbits[0], problem, ["distance", "speed"])
+    period, random = orbits[0].period, np.random.default_rng(5)
 
     def file(times: np.ndarray, shown: np.ndarray, k: int) -> zo.Recording:
         clean = table.at(times / period + 0.3)[:, k]
@@ -171,18 +177,70 @@ def test_two_files_of_an_orbit_give_parameters_and_the_clock_up_to_periods() -> 
     first_times = np.arange(0.0, 8.2 * period, period / 61.3)
     shown = 40.0 + np.arange(0.0, 11.4 * period, period / 87.1)
     first = file(first_times, first_times, 0)
-    second = file(shown / (1 + RATE) - BEGIN, shown, 1)
+    return orbits[-1], first, file(shown / (1 + RATE) - BEGIN, shown, 1)
+
+
+def _is_the_clock(remarks: tuple[str, ...], period: float) -> None:
+    """Check the notes on the second clock against the true one."""
+    at, error, faster, unsure = _clock(remarks)
+    whole = (at - (1 + RATE) * BEGIN) / ((1 + RATE) * period)
+    assert abs(whole - round(whole)) * period < 4 * error < 0.02 * period
+    assert abs(faster - RATE) < 4 * unsure < RATE
+
+
+@pytest.mark.slow
+def test_two_files_of_an_orbit_give_parameters_and_the_clock_up_to_periods() -> None:
+    orbit, first, second = _orbit_files()
+    problem, true = orbit.problem, {"k": 1.03, "restitution": 0.49}
     found = zo.identify(problem, first, ["k", "restitution"], second_file=second, transient=False)
     assert {one.unknown.label for one in found.fitted} == set(true)
     for one in found.fitted:
         assert abs(one.value - true[one.unknown.label]) < 4 * one.error
     assert found.correlation.shape == (2, 2)
-    at, error, faster, unsure = _clock(found.remarks)
-    whole = (at - (1 + RATE) * BEGIN) / ((1 + RATE) * period)
-    assert abs(whole - round(whole)) * period < 4 * error < 0.02 * period
-    assert abs(faster - RATE) < 4 * unsure < RATE
+    _is_the_clock(found.remarks, orbit.period)
     alone = zo.identify(problem, first, ["k", "restitution"], transient=False)
     assert all(a.error < b.error for a, b in zip(found.fitted, alone.fitted, strict=True))
+
+
+@pytest.mark.slow
+def test_compare_takes_a_second_file_of_an_orbit(tmp_path: Path) -> None:
+    orbit, first, second = _orbit_files()
+    found = zo.compare(orbit, first, second_file=second)
+    assert found.agrees
+    assert found.second_file is not None
+    assert found.second_file.signals == ("speed",)
+    # Its period counts by the first clock.
+    period = found.second_file.metric("period")
+    assert abs(period.data - orbit.period) < 4 * period.error
+    _is_the_clock(found.remarks, orbit.period)
+    paths = [str(tmp_path / name) for name in ("orbit.json", "first.csv", "second.csv")]
+    zo.write_orbit(orbit, paths[0])
+    for path, one in zip(paths[1:], (first, second), strict=True):
+        zo.write_recording(one, path)
+    answer = ask("compare", *paths[:2], "--second-file", paths[2])
+    assert answer.code == 0
+    assert "second.csv: its clock is faster by the part 0.00" in answer.out.replace("\n", " ")
+
+
+@pytest.mark.slow
+def test_a_second_file_of_another_motion_is_told() -> None:
+    orbit, first, second = _orbit_files()
+    speed = second.signal("speed")
+    sawtooth = (second.time % orbit.period) ** 2
+    for other, told in (
+        # No two clocks differ by 20 %.
+        (replace(second, time=1.2 * second.time), "no two clocks differ by so much"),
+        (recording("speed", second.time, sawtooth, "m/s"), "it runs backward"),
+    ):
+        found = zo.compare(orbit, first, second_file=other)
+        assert not found.agrees
+        assert any(one.startswith("second file: ") and told in one for one in found.reasons)
+    for other, told in (
+        (first, "holds the first recording again"),
+        (recording("height", second.time, speed.values), "must have a signal or a contact channel"),
+    ):
+        with pytest.raises(InputError, match=f"Argument `second_file` {told}"):
+            zo.compare(orbit, first, second_file=other)
 
 
 def test_a_second_file_of_an_orbit_has_signals_and_its_own_channels() -> None:

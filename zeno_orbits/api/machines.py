@@ -109,6 +109,7 @@ def compare(
     *,
     problem: Named | None = None,
     fit: Sequence[str] = (),
+    second_file: Recording | str | Path | None = None,
     t_start: float | None = None,
     t_end: float | None = None,
     on_progress: Progress = silent,
@@ -122,6 +123,7 @@ def compare(
         problem: The orbit's problem. The default is the bundled problem of its name.
         fit: Gains and offsets of channels to determine, ``CHANNEL.gain`` and ``CHANNEL.offset``. A
             channel without a known scale and zero, such as a track in pixels, counts by its shape.
+        second_file: A second file of the same motion on another clock, which shows the orbit too.
         t_start: First time of the recording that counts [s].
         t_end: Last time of the recording that counts [s].
         on_progress: Called with the stage and the part of it that is done.
@@ -131,14 +133,19 @@ def compare(
             signal has a wrong unit, or a contact channel is invalid.
         SimulationError: If the orbit does not return.
     """
-    from zeno_orbits.experiment import compare_recording as compared
+    from zeno_orbits.experiment import compare_recording, compare_two_files
 
     found = any_orbit(orbit)
     known = problem_of(found, problem)
     errors = _instrument_errors(known, found.values(known), fit)
     data = recording_for(known, recording, t_start, t_end, on_progress)
+    other = read_second_file(known, second_file, on_progress)
+    _require_one_trial([("", data)], other)
     on_progress("comparing", None)
-    return compared(found, known, data, [word for one in errors for word in one.readings])
+    readings = [word for one in errors for word in one.readings]
+    if other is None:
+        return compare_recording(found, known, data, readings)
+    return compare_two_files(found, known, (data, other.recording), other.label, readings)
 
 
 @front_door

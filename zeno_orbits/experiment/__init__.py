@@ -1,7 +1,7 @@
 """Compare a real machine with an orbit: recordings, comparison, identification, and a virtual rig.
 
 Offers: for recordings `Recording` of `RecordedSignal`s with a `Source`, `read_recording`,
-`sampled`. `compare_recording` returns a `Comparison` of `Metric`s.
+`sampled`. `compare_recording` and `compare_two_files` return a `Comparison` of `Metric`s.
 `fit_parameters` returns an `Identification` of `FitParameter`s or raises `UnfittableError`.
 `fit_transient_parameters` does the same for transients, `transient_reason` decides between the two,
 `compare_transients` returns a `TransientComparison`, and `laws_of` compares laws of impact on

@@ -1,6 +1,7 @@
 from .comparison.comparison import Comparison as Comparison
 from .comparison.verdict import ComparisonVerdict as ComparisonVerdict
 from .comparison.comparison import compare_recording as compare_recording
+from .comparison.two_files import compare_two_files as compare_two_files
 from .comparison.counterpart import MatchedRun as MatchedRun
 from .comparison.counterpart import recording_counterpart as recording_counterpart
 from .comparison.counterpart import rig_counterpart as rig_counterpart

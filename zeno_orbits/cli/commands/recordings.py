@@ -146,6 +146,7 @@ def add_compare(commands: Any) -> None:
         [
             "zeno-orbits compare orbit.json data.csv --t-start 12 --plot compared.png",
             "zeno-orbits compare orbit.json data.csv --t-start 12 --json",
+            "zeno-orbits compare orbit.json data.csv --second-file video.csv",
             "zeno-orbits compare bouncing_ball drop.csv --set restitution=0.8 --plot drop.png",
             "zeno-orbits compare bouncing_ball track.csv --fit height.gain,height.offset",
         ],
@@ -227,10 +228,9 @@ def _run_compare(options: argparse.Namespace) -> int:
         return _run_compare_transient(options)
     orbit_path = Path(options.problem)
     require_outputs(options, {"picture": PICTURE}, reads=[orbit_path, *files])
-    for name, given in (("--set", options.set), ("--start", options.start)):
-        others = ("--trial" if options.trials else "--initial", "--second-file")
-        if given or options.trials or options.initial or options.second_file is not None:
-            asked = name if given else others[not (options.trials or options.initial)]
+    for name in ("set", "start", "trials", "initial"):
+        if getattr(options, name):
+            asked = f"--{name.removesuffix('s')}"
             raise InputError(f"Argument `{asked}` needs a problem in place of `{orbit_path}`.")
     orbit = api.any_orbit(orbit_path)
     problem = api.problem_of(orbit, options.problem_file)
@@ -240,6 +240,7 @@ def _run_compare(options: argparse.Namespace) -> int:
             options.data,
             problem=problem,
             fit=options.fit,
+            second_file=options.second_file,
             t_start=options.t_start,
             t_end=options.t_end,
             on_progress=progress,

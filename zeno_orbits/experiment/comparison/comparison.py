@@ -95,6 +95,8 @@ class Comparison(TableRepr):
         remarks: Further findings.
         instruments: Gains and offsets of channels that were determined, by ``CHANNEL.gain`` and
             ``CHANNEL.offset``. The recording is corrected by them.
+        second_file: Comparison of a second file of the motion, its times on the first clock. Its
+            findings count.
     """
 
     orbit: Orbit
@@ -108,6 +110,7 @@ class Comparison(TableRepr):
     unresolved: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     instruments: Mapping[str, Estimate] = field(default_factory=dict[str, Estimate])
+    second_file: Comparison | None = None
 
     def __repr__(self) -> str:
         """Return one line: the verdict, the signals, and the reasons."""
@@ -168,7 +171,9 @@ class Comparison(TableRepr):
             return ComparisonVerdict.NO_ORBIT
         if self.unresolved:
             return ComparisonVerdict.UNDECIDED
-        return ComparisonVerdict.OTHER_VALUES if self.differences else ComparisonVerdict.THIS_ORBIT
+        others = self.second_file is not None and self.second_file.differences
+        differs = self.differences or others
+        return ComparisonVerdict.OTHER_VALUES if differs else ComparisonVerdict.THIS_ORBIT
 
     @cached_property
     def differences(self) -> tuple[Metric, ...]:
@@ -207,6 +212,7 @@ class Comparison(TableRepr):
             "release_time": None if self.where is None else plain_number(self.where.release),
             "instruments": instruments_json(self.instruments),
             "metrics": {one.name: one.as_json() for one in self.metrics},
+            **({} if self.second_file is None else {"second_file": self.second_file.as_json()}),
         }
 
 

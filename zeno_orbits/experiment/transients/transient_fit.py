@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import counted
 from zeno_orbits.experiment.identification.prepared import UnfittableError, refusal
 from zeno_orbits.experiment.identification.uncertainty import Unseen, unseen_combinations
 from zeno_orbits.experiment.identification.unknowns import (
@@ -76,6 +77,8 @@ _EXACT = 1e-5
 """Residuals relative to the range of the channels that are rounding and no scatter."""
 _EDGE = 1e-3
 _ROUNDS = 3
+_FEW = 3
+"""Flights between impacts, whose ratios may agree by chance although impacts scatter."""
 _NORMAL = 1.959964
 """Half of a 95 % interval in standard errors of a normal distribution."""
 
@@ -576,7 +579,23 @@ def _described(
         remarks=tuple(
             _remarks(shooting, found, basis.at_end, trials, tests, others, widened=widened)
         )
-        + squares,
+        + squares
+        + (() if mixed is not None else _few_words(trials, tests, basis)),
+    )
+
+
+def _few_words(
+    trials: Sequence[FittedTrial], tests: ResidualTests, basis: _Basis
+) -> tuple[str, ...]:
+    """Return that the impacts are too few to show a scatter of a fitted restitution."""
+    seen = sum(max(one.seen_impacts - 1, 0) for one in trials)
+    named = [one for one in basis.labels if "restitution" in one and one not in basis.hidden]
+    if not named or not tests.law or seen > _FEW or not math.isnan(tests.scatter):
+        return ()
+    return (
+        f"{counted(seen, 'flight')} between impacts cannot show a scatter of `{named[0]}` from "
+        f"impact to impact, 1 to 10 % on real machines: its interval contains none, so record "
+        f"several trials",
     )
 
 

@@ -232,6 +232,9 @@ def print_comparison(found: Comparison) -> None:
     print_lines(comparison_lines(found))
     if found.metrics:
         print_table(comparison_columns(found), found.metrics)
+    if found.second_file is not None and found.second_file.metrics:
+        print_lines(["", "Second file:"])
+        print_table(comparison_columns(found.second_file), found.second_file.metrics)
     notes = (*found.recording.remarks, *_read_as(found.instruments), *found.remarks)
     print_lines(f"Note: {remark}." for remark in notes)
 
