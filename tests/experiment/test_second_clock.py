@@ -220,6 +220,8 @@ def test_compare_takes_a_second_file_of_an_orbit(tmp_path: Path) -> None:
     answer = ask("compare", *paths[:2], "--second-file", paths[2])
     assert answer.code == 0
     assert "second.csv: its clock is faster by the part 0.00" in answer.out.replace("\n", " ")
+    assert "Second file:" in answer.out
+    assert found.as_json()["second_file"]["signals"] == ["speed"]
 
 
 @pytest.mark.slow
@@ -241,6 +243,18 @@ def test_a_second_file_of_another_motion_is_told() -> None:
     ):
         with pytest.raises(InputError, match=f"Argument `second_file` {told}"):
             zo.compare(orbit, first, second_file=other)
+    late = replace(first, time=first.time + 1.0)
+    with pytest.raises(InputError, match="`fit` must name a channel of one file, but both files"):
+        zo.compare(orbit, first, second_file=late, fit=["distance.gain"])
+
+
+@pytest.mark.parametrize(
+    "option", ["--set g=3", "--start height=1", "--initial speed", "--trial d"]
+)
+def test_options_of_transients_need_a_problem_in_place_of_an_orbit(option: str) -> None:
+    answer = ask("compare", "orbit.json", "data.csv", *option.split())
+    assert answer.code == 2
+    assert f"{option.split()[0]}: needs a problem in place of `orbit.json`." in answer.err
 
 
 def test_a_second_file_of_an_orbit_has_signals_and_its_own_channels() -> None:
