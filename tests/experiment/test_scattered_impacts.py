@@ -109,6 +109,7 @@ def test_late_impacts_that_scatter_shifts_far_count_as_scattered() -> None:
     assert one.low < 0.79 < one.high
 
 
+@pytest.mark.slow
 def test_the_error_of_three_impacts_is_as_long_as_their_interval() -> None:
     """Two restitutions that agree by chance are no knowledge of their scatter."""
     seen = (0.13, 0.138, -0.07, 0.03, 0.1)
@@ -123,6 +124,7 @@ def test_the_error_of_three_impacts_is_as_long_as_their_interval() -> None:
     assert abs(one.value - 0.53) < 4 * one.error
 
 
+@pytest.mark.slow
 def test_an_interval_that_rests_on_few_impacts_says_that_it_contains_no_scatter() -> None:
     """Impacts that agree by chance give an interval far from the mean restitution."""
     seen = (-0.01, -0.017, -0.025, 0.13, -0.09)
