@@ -15,6 +15,9 @@ from zeno_orbits.simulation import SimulationSettings, SimulationTask
 
 PLASTIC = 1e-4
 """The other loop ends a sequence of impacts at a speed of 1e-6 m/s, so its Zeno times are early."""
+_AT_ONCE, _LATE = 1e-9, 1e-6
+"""Times of two events below which they are one, and of a limit from which the other loop is at rest
+[s]."""
 _KINDS = {"Impact": "impact", "ZenoPoint": "zeno", "Release": "release"}
 
 
@@ -116,6 +119,30 @@ def events_of(found: zo.Execution) -> list[tuple[float, str]]:
             if one.time > 0.0
         ]
     )
+
+
+def before_limits(
+    found: zo.Execution, wanted: Sequence[tuple[float, str]]
+) -> tuple[list[tuple[float, str]], list[tuple[float, str]]]:
+    """Return the events of an execution and of the reference, without omitted ones.
+
+    Where impacts move a part in every flight, its events accumulate with them. Either loop has
+    those up to its last impact.
+    """
+    known, tails = events_of(found), list[tuple[float, float]]()
+    for zeno in found.zeno_points:
+        first = zeno.time - max(zeno.tail, _LATE) - _AT_ONCE
+        if any(" " in name and first < time < zeno.time for time, name in (*known, *wanted)):
+            tails.append((first, zeno.time + PLASTIC))
+
+    def kept(events: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
+        return [
+            (time, name)
+            for time, name in events
+            if " " not in name or not any(low < time < high for low, high in tails)
+        ]
+
+    return kept(known), kept(wanted)
 
 
 def events_of_reference(machine: LinearMachine, seed: int, until: float) -> list[tuple[float, str]]:

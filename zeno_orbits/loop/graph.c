@@ -1081,6 +1081,12 @@ static int arc_ended(Graph *g) {
 
 /* Switches. */
 
+/* The switches of dry friction. */
+static long long frictional(const Graph *g) {
+    const zl_graph *graph = g->whole->graph;
+    return (BIT(graph->n_frictional) - 1) << (graph->n_declared - graph->n_frictional);
+}
+
 static int switched(Graph *g, double time, const double *x, int k, const double *scaled);
 static int count_switch(Graph *g, double time, int k, const double *before, const double *after);
 
@@ -1229,7 +1235,9 @@ static int count_switch(Graph *g, double time, int k, const double *before, cons
     const double none[3] = {0.0, 0.0, 0.0};
     write_event_of(&g->m, ZL_SWITCH, k, time, none, before, after);
     if (k < g->whole->graph->n_declared) {
-        int status = see_switch(&g->m, time, k, after);
+        int status;
+        run->graph.split_present |= BIT(k) & frictional(g);
+        status = see_switch(&g->m, time, k, after);
         if (status != GO_ON) return status;
         /* A kink ends a step, so the limit of steps is its limit. */
         if (++run->graph.n_switches > run->settings.most_impacts)
@@ -1342,7 +1350,7 @@ static int switched(Graph *g, double time, const double *x, int k, const double 
             graph->flipped = 0;
             status = count_switch(g, time, k, x, after);
             if (status != GO_ON) return status;
-            graph->has_current = 0;
+            if (!is_frictional || !is_free) graph->has_current = 0;
             take_sides(g, after);
             status = settle(g, time, after);
             if (status != GO_ON) return status;
@@ -1760,13 +1768,16 @@ static int strike(Graph *g, double time, const double *before, double approach) 
     long long closed, candidates, held = focus;
     double given[ZL_MOST + 1], landed[3 * ZL_MOST + 2];
     const int stop = focus_of(g);
-    int status, done, comes_in_turn, reached, is_set;
+    int status, done, comes_in_turn, reached, is_set, k;
     comes_in_turn = see_impact(&g->m, time) && they_rest(g, before);
     status = limit_of_each(g, time, before, approach, &done);
     if (status != GO_ON || done) return status;
     if (comes_in_turn && turns_are_tied(g, time, before)) return in_turn(&g->m, time, before);
     graph->split_before = graph->split_present;
     graph->split_present = 0;
+    /* What an impact causes belongs to the sequence of the impacts. */
+    for (k = 0; k < g->whole->graph->n_switches; k++)
+        if (frictional(g) & BIT(k)) graph->n_row[k] = 0;
     if (approach < 0.0) {
         look(g, kept_closed(g, before), focus_of(g));
         memcpy(given, before, (size_t)n_x * sizeof(double));
@@ -1953,6 +1964,7 @@ static int is_clear_at(Graph *g, const Limit *limit, int *clear) {
     const Graphed *graph = &g->m.run->graph;
     const double *x = limit->state;
     double formulas[ZL_GUARDS], levels[ZL_GUARDS], pair[2];
+    long long zero = graph->split_before;
     int k;
     *clear = 0;
     for (k = 0; k < table->n_stops; k++)
@@ -1967,12 +1979,14 @@ static int is_clear_at(Graph *g, const Limit *limit, int *clear) {
             if (!(pair[0] > 0.0)) return GO_ON;
         }
     switches_at(g, x, formulas, levels, 0);
+    for (k = (int)(table->n_declared - table->n_frictional); k < table->n_declared; k += PER_PART)
+        if (graph->split_before & (BIT(PER_PART) - 1) << k) zero |= (BIT(PER_PART) - 1) << k;
     for (k = 0; k < table->n_switches; k++)
-        /* A kink that splits every flight is zero at the limit itself. */
-        if (!(graph->split_before & BIT(k)) &&
+        /* A kink or a part that splits every flight is zero at the limit itself. */
+        if (!(zero & BIT(k)) &&
             !((is_above(g, k) ? formulas[k] : -formulas[k]) > -SPENT * levels[k]))
             return GO_ON;
-    for (k = 0; k < table->n_switches; k++)
+    for (k = (int)table->n_declared; k < table->n_switches; k++)
         if ((graph->split_before & BIT(k)) && fabs(formulas[k]) <= SPENT * levels[k]) {
             int status = require_continuous(g, k, limit->time, x);
             if (status != GO_ON) return status;
@@ -1981,13 +1995,27 @@ static int is_clear_at(Graph *g, const Limit *limit, int *clear) {
     return GO_ON;
 }
 
-/* Follow one flight of a sequence of impacts, or go to its Zeno point. */
-static int fly_on(Graph *g) {
+/* Take its rate from every part that sticks in every flight, at the limit of the impacts. */
+static void stop_parts(Graph *g, long long beside, double *x) {
+    const zl_graph *table = g->whole->graph;
+    int k;
+    for (k = (int)(table->n_declared - table->n_frictional); k < table->n_declared; k += PER_PART)
+        if (beside & BIT(k)) {
+            double after[ZL_MOST];
+            shared(g, &table->resets[k], table->reset_places[k], x, after);
+            memcpy(x, after, (size_t)g->whole->n_x * sizeof(double));
+        }
+}
+
+/* Follow one flight of a sequence of impacts, or go to its Zeno point. A switch of dry friction may be
+   due at its start, else -1. */
+static int fly_on(Graph *g, int due) {
     zl_run *run = g->m.run;
     Graphed *graph = &run->graph;
     zl_start *start = &run->start;
     Limit limit;
-    int found = NO_LIMIT, is_due = 0, is_clear, status;
+    int found = NO_LIMIT, is_due = 0, is_clear, is_slow, status;
+    long long beside;
     if (!graph->has_current || graph->current_rest != graph->rest ||
         graph->current_focus != graph->focus) {
         graph->has_current = 1;
@@ -1997,6 +2025,8 @@ static int fly_on(Graph *g) {
         run->pace.first_impact = run->n_impacts;
         run->pace.n_estimates = 0;
     }
+    beside = graph->split_before & frictional(g);
+    is_slow = beside && start->speed <= SLOW_BESIDE * run->settings.gap_rate;
     if (run->stage == AT_CURVE) {
         is_due = 1;
         if (run->answered) {
@@ -2009,11 +2039,12 @@ static int fly_on(Graph *g) {
         if (run->pace.n_estimates == g->m.records->most_estimates) return ZL_ESTIMATES;
         if (run->pace.n_estimates && start->speed >= speed_of(&g->m, run->pace.n_estimates - 1))
             run->pace.n_estimates = 0;
-        if (add_estimate(&g->m)) {
+        if (!add_estimate(&g->m, beside))
+            run->pace.n_estimates = 0;
+        else if (due < 0 || beside) {
             is_due = 1;
             found = limit_by_rule(&g->m, &limit);
-        } else
-            run->pace.n_estimates = 0;
+        }
     }
     /* Along the curve of the impacts, no kink changes its side within a flight. */
     if (found == CURVE && graph->split_before) found = NO_LIMIT;
@@ -2024,8 +2055,15 @@ static int fly_on(Graph *g) {
     }
     /* Flights that a kink splits determine the Zeno point less accurately. */
     if (is_due && found == NO_LIMIT && graph->split_before &&
-        extrapolated(&g->m, SPLIT_RESOLVED, SPLIT, &limit))
+        extrapolated(&g->m, is_slow ? 1.0 : SPLIT_RESOLVED, SPLIT, &limit))
         found = LIMIT;
+    if (is_due && found == NO_LIMIT && beside &&
+        start->speed <= LEAST_BESIDE * run->settings.gap_rate) {
+        int k = 0;
+        while (!(beside & BIT(k))) k++;
+        return tell(&g->m, ZL_ACCUMULATE, start->time, start->resting, k);
+    }
+    if (found == LIMIT) stop_parts(g, beside, limit.state);
     if (found == LIMIT && limit.time < run->settings.until) {
         status = is_clear_at(g, &limit, &is_clear);
         if (status != GO_ON || g->asks) return status;
@@ -2040,6 +2078,7 @@ static int fly_on(Graph *g) {
         }
         if (is_clear) graph->has_current = 0;
     }
+    if (due >= 0) return switched_at_start(g, due);
     if (run->n_impacts - run->pace.first_impact > run->settings.most_impacts)
         return tell(&g->m, ZL_MANY_IMPACTS, start->time, start->state, 0);
     return begin_arc(g, FLIGHT_ARC);
@@ -2116,11 +2155,12 @@ static int do_next_in_graph(Graph *g) {
     case AT_START:
         outcome = find_due(g, &due);
         if (outcome != GO_ON) return outcome;
-        if (due >= 0) return switched_at_start(g, due);
-        if (run->start.has_speed) return fly_on(g);
+        if (due >= 0 && (run->start.mode == ZL_LOCKED || !run->start.has_speed))
+            return switched_at_start(g, due);
+        if (run->start.has_speed) return fly_on(g, due);
         return begin_from_rest(g);
     case AT_CURVE:
-        if (run->start.has_speed) return fly_on(g);
+        if (run->start.has_speed) return fly_on(g, -1);
         return begin_from_rest(g);
     case LAUNCHES:
         return launch(g);

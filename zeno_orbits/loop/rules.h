@@ -97,6 +97,7 @@
 
 /* model/friction.py */
 #define FORCED 2.0
+#define PER_PART 5
 
 /* model/numeric/graph_dynamics.py */
 #define SWITCH_ZERO 1e-12
@@ -120,6 +121,8 @@
 #define NEAR_KINK 1000000.0
 #define SPLIT 1e-08
 #define SPLIT_RESOLVED 0.0001
+#define SLOW_BESIDE 1e-07
+#define LEAST_BESIDE 1e-10
 #define ACCUMULATED 0.001
 #define LOW 1e-09
 #define SLOW 3e-05

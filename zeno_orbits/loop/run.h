@@ -38,8 +38,11 @@ typedef struct {
 typedef struct {
     long long view, rest, focus, sides, above;
     long long together; /* the stops that open at the end of an arc, if there are several */
-    /* The sequence of impacts that a kink may have split, and the kinks that split its flights. */
+    /* The sequence of impacts that a kink may have split, the kinks and switches of dry friction that
+       split its flights, its first estimate that counts, and those switches in the flight before the
+       last estimate. */
     long long has_current, current_rest, current_focus, split_before, split_present;
+    long long first_node, beside;
     long long flipped; /* the switches of which a start was on the wrong side at `flipped_time` */
     long long n_switches, has_events, last_switch;
     double flipped_time;

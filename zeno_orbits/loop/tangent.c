@@ -641,7 +641,7 @@ static void joined(const Tangent *t, double time, const double *event) {
     memcpy(start->rate, outputs + t->n_x + 1, bytes);
     if (run->pace.n_estimates && start->speed >= speed_of(&t->m, run->pace.n_estimates - 1))
         run->pace.n_estimates = 0;
-    if (!add_estimate(&t->m)) run->pace.n_estimates = 0;
+    if (!add_estimate(&t->m, 0)) run->pace.n_estimates = 0;
 }
 
 /* How the first-order Zeno point of an impact moves: time, nothing, state. */

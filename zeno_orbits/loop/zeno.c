@@ -11,12 +11,13 @@ static double speed_of(const Machine *m, long long k) { return estimate_of(m, k)
 
 /* Which of the falling speeds to extrapolate from, the last first; their number. */
 static int spread_nodes(const Machine *m, long long last, long long *nodes) {
+    const long long first = m->run->graph.first_node;
     int count = 1;
     nodes[0] = last;
     while (count < N_NODES) {
         double wanted = speed_of(m, nodes[count - 1]) / NODE_RATIO;
-        long long before = nodes[count - 1] - 1, low = 0, high = last + 1;
-        if (before >= 0 && 0.0 < wanted && wanted <= speed_of(m, before)) {
+        long long before = nodes[count - 1] - 1, low = first, high = last + 1;
+        if (before >= first && 0.0 < wanted && wanted <= speed_of(m, before)) {
             nodes[count++] = before;
             continue;
         }
@@ -27,7 +28,7 @@ static int spread_nodes(const Machine *m, long long last, long long *nodes) {
             else
                 low = middle + 1;
         }
-        if (low - 1 < 0 || wanted == 0.0) break;
+        if (low - 1 < first || wanted == 0.0) break;
         nodes[count++] = low - 1;
     }
     return count;
@@ -246,8 +247,20 @@ static int limit_by_rule(const Machine *m, Limit *limit) {
     return CURVE;
 }
 
-/* Add the first-order guess of the Zeno point from an impact; 0 if the stop repels there or is elastic. */
-static int add_estimate(const Machine *m) {
+/* Put the line through two impacts beside dry friction, at speed zero, in place of an estimate: `join` in
+   Python. */
+static void join_estimates(const double *before, double *last, long long n_x) {
+    const double share = last[E_SPEED] / (before[E_SPEED] - last[E_SPEED]);
+    long long i;
+    last[E_TIME] = last[E_IMPACT] + share * (last[E_IMPACT] - before[E_IMPACT]);
+    before += ZL_ESTIMATE_WIDTH;
+    last += ZL_ESTIMATE_WIDTH;
+    for (i = 0; i < n_x; i++) last[n_x + i] = last[i] + share * (last[i] - before[i]);
+}
+
+/* Add the first-order guess of the Zeno point from an impact; 0 if the stop repels there or is elastic.
+   The flight before it may have had switches of dry friction. */
+static int add_estimate(const Machine *m, long long beside) {
     zl_run *run = m->run;
     const zl_start *start = &run->start;
     const long long n_x = m->problem->n_x;
@@ -263,7 +276,17 @@ static int add_estimate(const Machine *m) {
         estimate[ZL_ESTIMATE_WIDTH + i] = start->resting[i];
         estimate[ZL_ESTIMATE_WIDTH + n_x + i] = start->resting[i] + remaining * start->rate[i];
     }
-    if (run->pace.n_estimates == 0) run->first_speed = start->speed;
+    if (run->pace.n_estimates == 0) {
+        run->graph.first_node = run->graph.beside = 0;
+        run->first_speed = start->speed;
+    } else {
+        if (run->graph.beside != beside) {
+            run->graph.first_node = run->pace.n_estimates;
+            run->first_speed = start->speed;
+        }
+        if (beside) join_estimates(estimate_of(m, run->pace.n_estimates - 1), estimate, n_x);
+        run->graph.beside = beside;
+    }
     run->pace.n_estimates++;
     return 1;
 }

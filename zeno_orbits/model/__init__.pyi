@@ -73,6 +73,7 @@ from .declared.starts import Start as Start
 from .stops import event_of_setting as event_of_setting
 from .stops import watched as watched
 from .drives.friction import SIDE as SIDE
+from .friction import PER_PART as PER_PART
 from .friction import first_held_rate as first_held_rate
 from .scale import UNIT_SCALES as UNIT_SCALES
 from .expressions.units import in_si as in_si

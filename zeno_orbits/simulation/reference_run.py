@@ -40,6 +40,7 @@ from zeno_orbits.integrators import (
     follow_steps,
 )
 from zeno_orbits.model import (
+    PER_PART,
     START_OFF,
     CharacteristicScales,
     GraphDynamics,
@@ -93,6 +94,9 @@ _NEAR_KINK = 1e6
 _SPLIT, _SPLIT_RESOLVED = 1e-8, 1e-4
 """Largest error of a Zeno point whose flights are split by a kink, and the part of the first speed
 from which it is accepted."""
+_SLOW_BESIDE, _LEAST_BESIDE = 1e-7, 1e-10
+"""Speeds over the problem's own of impacts beside dry friction. Below the first, the limit need not
+be slow by the first speed of the sequence. Below the second there is no limit."""
 _ACCUMULATED = 1e-3
 """Part of the first speed of a sequence below which its impacts accumulate."""
 
@@ -233,7 +237,8 @@ class ReferenceRun(StopRun):
         above: For each declared switch, whether its guard is positive.
         interruption: The event that ended the present arc early.
         current: The sequence of impacts that a kink may have split.
-        split_by: The kinks that split the last flight of that sequence, and the present flight.
+        split_by: The kinks and switches of dry friction that split the last flight of that
+            sequence, and the present flight.
         window: Time in which the next event is first looked for [s].
         flipped: Time of the last start on the wrong side of a switch, and the switches then.
         n_switches: Number of declared switches so far.
@@ -359,9 +364,31 @@ class ReferenceRun(StopRun):
         if isinstance(rule, ZenoPassage):
             # Along the curve of the impacts, no kink changes its side within a flight.
             rule = rule.one_by_one
-        rough = ZenoExtrapolation(tolerance=_SPLIT, resolved=_SPLIT_RESOLVED)
-        limit = rule.limit(self.dynamics, estimates)
-        return limit or rough.limit(self.dynamics, estimates)
+        slow = self.beside and estimates[-1].speed <= _SLOW_BESIDE * self.own.gap_rate
+        rough = ZenoExtrapolation(tolerance=_SPLIT, resolved=1.0 if slow else _SPLIT_RESOLVED)
+        limit = rule.limit(self.dynamics, estimates) or rough.limit(self.dynamics, estimates)
+        if limit is None:
+            self._require_fast(estimates[-1])
+            return None
+        # A part that every impact moves has no rate at the limit.
+        for s in self.graph.sticking(self.beside):
+            limit = replace(limit, state=self.graph.after_switch(s, limit.state))
+        return limit
+
+    @property
+    def beside(self) -> frozenset[int]:
+        """The switches of dry friction in the last flight between impacts."""
+        return frozenset(s for s in self.split_by[0] if s in self.graph.frictional)
+
+    def _require_fast(self, last: TailEstimate) -> None:
+        """Refuse impacts beside dry friction that are too slow for a limit.
+
+        Raises:
+            ChatterError: If the last impact is.
+        """
+        if self.beside and last.speed <= _LEAST_BESIDE * self.own.gap_rate:
+            name = self.graph.switch_names[min(self.beside)]
+            raise switches_accumulate(name, last.impact_time, last.resting)
 
     def reaches(self, arc: Arc, natural: Ending) -> bool:
         """Return True if an arc ended at the event of the stop that the run looks at."""
@@ -487,12 +514,16 @@ class ReferenceRun(StopRun):
                     return False
             guards, rounding, _ = self.graph.guards((self.rest, self.sides), x)
             signs = np.where(self._signs(), guards, -guards)
-            # A kink that splits every flight is zero at the limit itself.
+            # A kink or a part that splits every flight is zero at the limit itself.
             signs[list(self.split_by[0])] = np.inf
+            first = self.graph.frictional.start
+            for s in self.beside:
+                part = s - (s - first) % PER_PART
+                signs[part : part + PER_PART] = np.inf
             if not np.all(signs > -_SPENT * rounding):
                 return False
         values, rounding, _ = self.graph.guards(((), self.sides), limit.state)
-        for kink in self.split_by[0]:
+        for kink in self.split_by[0] - self.beside:
             if abs(values[kink]) <= _SPENT * rounding[kink]:
                 self._require_continuous(kink, limit.time, limit.state)
         return True
@@ -521,12 +552,25 @@ class ReferenceRun(StopRun):
         """Follow one phase, without the names of its errors."""
         s = self._due(start)
         if s is not None:
-            return self._switched(start, start.time, start.state, s)
+            limit = self._limit_before(start)
+            return limit or self._switched(start, start.time, start.state, s)
         if start.mode is Mode.LOCKED:
             return self.locked_arc(start)
         if start.speed is None:
             return self.free_flight(start)
         return self.impact_sequence(start, start.speed)
+
+    def _limit_before(self, start: ArcStart) -> ArcStart | None:
+        """Return the contact after a Zeno point, if the impact at a start determines it.
+
+        Every impact moves a part with dry friction, which is due to slip at the start.
+        """
+        if start.mode is Mode.LOCKED or start.speed is None:
+            return None
+        sequence = self.sequence()
+        if not self.estimated(start, start.speed, sequence) or not self.beside:
+            return None
+        return self.zeno_point(start, start.speed, sequence)
 
     def interrupted(self, start: ArcStart, arc: Arc) -> ArcStart | None:
         """Return the next start after an arc that another event ended."""
@@ -625,6 +669,9 @@ class ReferenceRun(StopRun):
         if in_turn and self._turns_are_coupled(state_minus):
             raise self.seen.in_turn(time, state_minus)
         self.split_by = self.split_by[1], frozenset()
+        for s in self.graph.frictional:
+            # What an impact causes belongs to the sequence of the impacts.
+            self.seen.switches.pop(self.graph.switch_names[s], None)
         if approach_rate < 0.0:
             self.look(self._kept(state_minus), self.focus)
             self._take_sides(self.dynamics.reset_map(state_minus, approach_rate))
@@ -1486,9 +1533,9 @@ class ReferenceRun(StopRun):
 
     def _take_frictions(self, values: Vector, levels: Vector) -> None:
         """Take the sides of the switches of dry friction anew: they depend on the closed stops."""
-        if not self.graph.sides_of_friction:
+        if not self.graph.frictional:
             return
-        first = self.graph.compiled.graph.frictional.start
+        first = self.graph.frictional.start
         anew = range(first, self.graph.n_declared)
         self.above = (*self.above[:first], *(bool(not values[k] < -levels[k]) for k in anew))
 
@@ -1559,7 +1606,8 @@ class ReferenceRun(StopRun):
             after = self.graph.after_switch(s, x)
             self.flipped = math.nan, frozenset()
             self._count_switch(time, name, x, after)
-            self.current = None
+            if s not in self.graph.frictional or start.mode is Mode.LOCKED:
+                self.current = None
             self._take_sides(after)
             after = self._settled(time, after, closed)
             return self._placed(time, after, closed, switch=name)
@@ -1607,7 +1655,10 @@ class ReferenceRun(StopRun):
     def _count_switch(self, time: float, name: str, before: Vector, after: Vector) -> None:
         event = SwitchEvent(time=time, name=name, state_minus=before, state_plus=after)
         self.events.append(event)
-        if self.graph.switch_names.index(name) < self.graph.n_declared:
+        s = self.graph.switch_names.index(name)
+        if s in self.graph.frictional:
+            self.split_by = self.split_by[0], self.split_by[1] | {s}
+        if s < self.graph.n_declared:
             self.seen.see_switch(time, name, after, self.own.time)
             # A kink ends a step, so the limit of steps is its limit.
             self.n_switches += 1

@@ -25,7 +25,7 @@ from zeno_orbits.simulation.interruptions import (
 )
 from zeno_orbits.simulation.settings import SimulationSettings
 from zeno_orbits.simulation.small_hops import SmallHop, small_hop
-from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit, tail_from
+from zeno_orbits.simulation.zeno.zeno_limit import TailEstimate, ZenoLimit, join, tail_from
 
 _STEADY = 1e-9
 """Part of the problem's own rate of the multiplier below which that decides nothing."""
@@ -352,12 +352,18 @@ class StopRun(ABC):
         Raises:
             ChatterError: If the sequence has too many impacts.
         """
-        zeno = self._zeno_point(start, speed, sequence.estimates)
-        if zeno is not None:
-            return zeno
+        if self.estimated(start, speed, sequence):
+            zeno = self.zeno_point(start, speed, sequence)
+            if zeno is not None:
+                return zeno
         if self.n_impacts - sequence.first_impact > self.settings.most_impacts:
             raise does_not_accumulate(self.settings.most_impacts, start.time, start.state)
         return self.rescaled_flight(start, speed)
+
+    @property
+    @abstractmethod
+    def beside(self) -> frozenset[int]:
+        """The switches of dry friction in the last flight between impacts."""
 
     def limit_of(self, estimates: Sequence[TailEstimate]) -> ZenoLimit | None:
         """Return the Zeno point of a sequence, or ``None`` if more impacts are to be resolved."""
@@ -379,21 +385,25 @@ class StopRun(ABC):
             return self.free_flight(replace(start, speed=None, height=0.0, launch=1.0))
         return self.landing(arc.end_time, arc.end_state, speed * float(end[-1]))
 
-    def _zeno_point(
-        self, start: ArcStart, speed: float, estimates: list[TailEstimate]
+    def estimated(self, start: ArcStart, speed: float, sequence: ImpactSequence) -> bool:
+        """Estimate the Zeno point from an impact, and return True if that is possible."""
+        if start.impact is None or start.resting is None:
+            return False
+        if sequence.estimates and speed >= sequence.estimates[-1].speed:
+            sequence.estimates = []
+        estimate = tail_from(start.resting, self.dynamics.restitution, start.time, speed)
+        known = sequence.estimates
+        sequence.estimates = [] if estimate is None else join(known, estimate, self.beside)
+        return estimate is not None
+
+    def zeno_point(
+        self, start: ArcStart, speed: float, sequence: ImpactSequence
     ) -> ArcStart | None:
         """Return the start of the locked arc if the impacts so far determine the Zeno point."""
-        if start.impact is None or start.resting is None:
-            return None
-        if estimates and speed >= estimates[-1].speed:
-            estimates.clear()
-        estimate = tail_from(start.resting, self.dynamics.restitution, start.time, speed)
-        if estimate is None:
-            estimates.clear()
-            return None
-        estimates.append(estimate)
-        limit = self.limit_of(estimates)
+        limit = self.limit_of(sequence.estimates)
         if limit is None or limit.time >= self.follower.until or not self.is_clear(limit):
+            return None
+        if start.impact is None:
             return None
         after = self.on_stop(limit.time, limit.state)
         if after.mode is Mode.FREE:

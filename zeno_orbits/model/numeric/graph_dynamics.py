@@ -5,7 +5,7 @@ The functions of a mode are built when a motion enters it. They are shared by al
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import combinations, pairwise
@@ -20,7 +20,7 @@ from zeno_orbits.model.contact import MULTIPLIER_RATE
 from zeno_orbits.model.declared.starts import Starts
 from zeno_orbits.model.domains import undefined_ahead
 from zeno_orbits.model.drives.waveforms import LEAST_PART
-from zeno_orbits.model.friction import FORCED
+from zeno_orbits.model.friction import FORCED, PER_PART
 from zeno_orbits.model.graph import guard_and_flow, system_of_stop
 from zeno_orbits.model.kink_friction import instead_of_kink
 from zeno_orbits.model.modes import GraphMode, ModeGraph
@@ -353,6 +353,7 @@ class GraphDynamics:
         self.causes = graph.causes
         self.held: tuple[int, ...] = tuple(graph.held)
         self.sides_of_friction = compiled.sides_of_friction
+        self.frictional = graph.frictional
         self._views: dict[tuple[GraphMode, int], HybridDynamics] = {}
         self._flows: dict[tuple[GraphMode, int, bool], CompiledFlow] = {}
         self._scales: dict[int, CharacteristicScales] = {}
@@ -570,6 +571,11 @@ class GraphDynamics:
         due = self._switches.due
         first = int(np.argmax(due))
         return first if due[first] >= (FORCED if forced else 1) else None
+
+    def sticking(self, switches: Iterable[int]) -> list[int]:
+        """Return those of some switches of dry friction at which a part sticks."""
+        first = self.frictional.start
+        return [s for s in sorted(switches) if (s - first) % PER_PART == 0]
 
     def guards_along(self, mode: GraphMode, states: Vector) -> tuple[Vector, Vector, Vector]:
         """Return the same as `guards` at many states, ``(n, n_switches)`` each.

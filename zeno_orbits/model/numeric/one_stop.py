@@ -34,6 +34,7 @@ class OneStop(GraphDynamics):
         self.causes = ()
         self.held: tuple[int, ...] = ()
         self.sides_of_friction = ()
+        self.frictional = range(0)
         self.open_mode = (), ()
         self.p = np.zeros(0) if dynamics.formulas is None else dynamics.formulas.values
 

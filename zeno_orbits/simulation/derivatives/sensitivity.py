@@ -21,6 +21,7 @@ from zeno_orbits.simulation.execution import Arc, Mode
 from zeno_orbits.simulation.zeno.zeno_limit import (
     TailEstimate,
     estimate_tail,
+    join,
     limit_slopes,
     limit_weights,
     spread_nodes,
@@ -63,11 +64,13 @@ class ImpactDerivative:
         impact: The impact.
         estimate: The Zeno point to first order from it.
         shift: How it moves, after the reset.
+        before: The impact before it, if the estimate is the line through both.
     """
 
     impact: Impact
     estimate: TailEstimate
     shift: SaltationDerivative
+    before: ImpactDerivative | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +130,11 @@ class VariationalEquation:
         return SaltationDerivative(time=before.time, state=reset @ inputs, rate=rate)
 
     def joined(
-        self, bounces: Sequence[ImpactDerivative], impact: Impact, after: SaltationDerivative
+        self,
+        bounces: Sequence[ImpactDerivative],
+        impact: Impact,
+        after: SaltationDerivative,
+        beside: frozenset[int] = frozenset(),
     ) -> list[ImpactDerivative]:
         """Return a sequence with one more impact, or a new sequence if it does not continue.
 
@@ -135,16 +142,17 @@ class VariationalEquation:
             bounces: The sequence so far.
             impact: The impact.
             after: Derivatives after its reset.
+            beside: The switches of dry friction in the flight before it.
         """
         speed = self.dynamics.speed_after(impact.approach_rate)
         estimate = estimate_tail(self.dynamics, impact.time, impact.state_plus, speed)
         if estimate is None:
             return []
-        goes_on = not bounces or speed < bounces[-1].estimate.speed
-        return [
-            *(bounces if goes_on else ()),
-            ImpactDerivative(impact=impact, estimate=estimate, shift=after),
-        ]
+        known = list(bounces) if bounces and speed < bounces[-1].estimate.speed else []
+        *others, last = join([one.estimate for one in known], estimate, beside)
+        before = known[-1] if last.beside else None
+        found = ImpactDerivative(impact=impact, estimate=last, shift=after, before=before)
+        return [*(known if others else ()), found]
 
     def zeno_point(
         self, zeno: ZenoPoint, bounces: Sequence[ImpactDerivative]
@@ -195,6 +203,8 @@ class VariationalEquation:
 
     def _tail(self, bounce: ImpactDerivative) -> Vector:
         """Return the derivatives of the first-order Zeno state of an impact, then of its time."""
+        if bounce.before is not None:
+            return self._tail_beside(bounce.before, bounce)
         n_x, x, shift = self.n_x, bounce.impact.state_plus, bounce.shift
         resting, e = self.dynamics.resting(x), self.dynamics.restitution
         moved = change_of(self.differentials.resting(x), shift.state)
@@ -205,3 +215,22 @@ class VariationalEquation:
         longer += remaining * (self.restitution / (1 - e) - moved[n_x] / acceleration)
         state = moved[:n_x] + resting.rate[:, None] * longer + remaining * moved[n_x + 1 :]
         return np.concatenate([state, [shift.time + longer]])
+
+    def _tail_beside(self, before: ImpactDerivative, last: ImpactDerivative) -> Vector:
+        r"""Return the same for the line through two impacts.
+
+        .. math:: \delta x = \delta x_1 + r\,(\delta x_1 - \delta x_0) + (x_1 - x_0)\,\delta r,
+            \qquad r = \frac{w_1}{w_0 - w_1}
+        """
+        first, second = self._rested(before), self._rested(last)
+        one, other = before.estimate, last.estimate
+        fall = one.speed - other.speed
+        by_share = one.speed * last.shift.rate - other.speed * before.shift.rate
+        moved = np.append(other.resting - one.resting, other.impact_time - one.impact_time)
+        line = second + other.speed / fall * (second - first)
+        return np.asarray(line + moved[:, None] * (by_share / fall**2))
+
+    def _rested(self, bounce: ImpactDerivative) -> Vector:
+        """Return the derivatives of the state of an impact on its stop, then of its time."""
+        on_stop = self.differentials.resting(bounce.impact.state_plus)[: self.n_x]
+        return np.vstack([change_of(on_stop, bounce.shift.state), bounce.shift.time])

@@ -95,6 +95,8 @@ class Walk:
         self._arcs, self._events = execution.arcs, execution.events
         self.place, self._here = place, of.at_start() if start is None else start
         self._bounces: list[ImpactDerivative] = []
+        # The switches of dry friction since the last impact.
+        self._beside: set[int] = set()
         self._crossings: list[Crossing] = []
         arc = self._arcs[place]
         # Events before an arc that is not the first do not count.
@@ -171,7 +173,7 @@ class Walk:
             passages.append(self._passage(one.start, end))
         if not passages:
             return []
-        self._bounces = []
+        self._bounces, self._beside = [], set()
         for impact, after in struck if not self.is_over else ():
             self._bounces = perturbations.joined(self._bounces, impact, after)
         return passages
@@ -328,7 +330,9 @@ class Walk:
         # Only the impacts of one stop in one mode accumulate.
         goes_on = [one.impact.stop for one in self._bounces[-1:]] == [impact.stop]
         goes_on = goes_on and arc.closed == following.closed
-        self._bounces = perturbations.joined(self._bounces if goes_on else (), impact, after)
+        beside, self._beside = frozenset(self._beside), set()
+        bounces = self._bounces if goes_on else ()
+        self._bounces = perturbations.joined(bounces, impact, after, beside)
         return before, after
 
     def _through_zeno_point(
@@ -338,6 +342,9 @@ class Walk:
             raise _touched(arc)
         perturbations = self._of.of_stop(following, self._of.index(zeno.stop))
         limit = perturbations.zeno_point(zeno, self._bounces)
+        for place in self._of.graph.sticking(self._bounces[-1].estimate.beside):
+            self._here = limit
+            limit = self._reset(self._of.graph.reset_derivative(place, zeno.state, self._of.chosen))
         self._bounces = []
         return limit, limit
 
@@ -359,7 +366,10 @@ class Walk:
         place = graph.switch_names.index(switch.name)
         if place >= graph.n_declared:
             return here, here
-        self._bounces = []
+        if place in graph.frictional:
+            self._beside.add(place)
+        else:
+            self._bounces = []
         derivative = graph.reset_derivative(place, switch.state_minus, self._of.chosen)
         return here, self._reset(derivative)
 
@@ -379,7 +389,7 @@ class Walk:
         return SaltationDerivative(time=here.time, state=state, rate=np.zeros_like(here.rate))
 
     def _launch(self, events: Sequence[Event], following: Arc) -> None:
-        """Start a flight from another stop than the last struck.
+        """Start a flight from another stop than the last struck, or after states are set anew.
 
         Args:
             events: The events at the start of the flight.
@@ -389,10 +399,15 @@ class Walk:
         struck = [event.stop for event in events if isinstance(event, Impact)]
         is_kink = [isinstance(e, SwitchEvent) and e.name not in declared for e in events]
         left = following.stop_left
-        if not left or left in struck[-1:] or all(is_kink):
+        if not left or all(is_kink):
             return
         perturbations = self._of.of_stop(following, self._of.index(left))
-        self._here = self._on_gap(following.start_state, perturbations)
+        if left not in struck[-1:]:
+            self._here = self._on_gap(following.start_state, perturbations)
+        elif any(isinstance(event, SwitchEvent) for event in events):
+            # A reset keeps the gap at zero, and the rate may have changed with it.
+            contact = perturbations.differentials.contact(following.start_state)
+            self._here = _with_gap_rate(self._here, contact)
 
     def _before_impact(
         self, impact: Impact, arc: Arc, following: Arc, *, caused: bool

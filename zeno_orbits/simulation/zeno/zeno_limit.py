@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -192,6 +193,7 @@ class TailEstimate:
         time: Zeno time, from the same origin [s].
         state: Zeno state, ``(n_x,)``.
         gap_acceleration: Gap acceleration at the impact.
+        beside: The switches of dry friction in the flight before the impact.
     """
 
     impact_time: float
@@ -200,6 +202,7 @@ class TailEstimate:
     time: float
     state: Vector
     gap_acceleration: float
+    beside: frozenset[int] = frozenset()
 
 
 @fast_dataclass
@@ -260,6 +263,37 @@ def tail_from(
         state=resting.state + remaining * resting.rate,
         gap_acceleration=resting.gap_acceleration,
     )
+
+
+def join(
+    estimates: Sequence[TailEstimate], last: TailEstimate, beside: frozenset[int]
+) -> list[TailEstimate]:
+    r"""Return the estimates of a sequence with that of one more impact.
+
+    A part with dry friction that every impact moves changes the ratio of the speeds. The estimate
+    is then the line through the impact and the previous one, at speed zero. All estimates of a
+    sequence have the same switches in their flights, so they lie on one curve.
+
+    .. math:: x_\infty \approx x_1 + \frac{w_1}{w_0 - w_1}\,(x_1 - x_0)
+
+    Args:
+        estimates: Those so far.
+        last: The estimate without switches. Its speed is below theirs.
+        beside: The switches of dry friction in the flight before the impact.
+    """
+    if not estimates:
+        return [last]
+    before = estimates[-1]
+    known = list(estimates) if before.beside == beside else []
+    if beside:
+        share = last.speed / (before.speed - last.speed)
+        last = replace(
+            last,
+            time=last.impact_time + share * (last.impact_time - before.impact_time),
+            state=last.resting + share * (last.resting - before.resting),
+            beside=beside,
+        )
+    return [*known, last]
 
 
 def extrapolate(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> ZenoLimit:
