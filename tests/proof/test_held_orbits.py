@@ -96,4 +96,7 @@ def test_states_that_a_release_sets_are_refused_by_the_missing_lemma() -> None:
     machine = zo.design_feedback(repelling_orbit(), ["Kp"]).machine()
     proof = zo.prove(zo.find_orbit_by_shooting(machine).unwrap(), problem=machine)
     assert not proof.proved
-    assert proof.reason == "an event of a stop sets states anew, and no lemma covers that"
+    assert proof.reason == (
+        "an event of a stop sets states anew, and no lemma covers that: `verify` checks such an "
+        "orbit numerically"
+    )

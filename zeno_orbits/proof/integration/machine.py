@@ -68,7 +68,7 @@ class BallMachine:
             if graph.n_frictions:
                 reason = "a part has dry friction, and no lemma covers a part that sticks"
             if reason:
-                raise ProofError("shape", reason)
+                raise ProofError("shape", f"{reason}: `verify` checks such an orbit numerically")
             self.stop_names = tuple(one.name for one in watched(graph.stops))
             self.switch_names = graph.switch_names
             self.n_declared = len(graph.switches)
