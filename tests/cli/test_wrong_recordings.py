@@ -152,7 +152,9 @@ WRONG: Mapping[str, tuple[str | bytes, str, str]] = {
         "separated by `,`: use one separator",
     ),
     "UTF-16": (WHOLE.encode("utf-16")[:-1], "it is broken UTF-16 text", "save it as UTF-8"),
-    "spreadsheet": (b"PK\x03\x04\x00\x00rest\n", "it holds zero bytes", "save it as text"),
+    "spreadsheet": (b"PK\x03\x04\x00\x00rest\n", "it is a spreadsheet", "save the table as CSV"),
+    "web page": (b"\xef\xbb\xbf\n<!DOCTYPE html>\n", "a web page (HTML)", "save the table as CSV"),
+    "packed": (b"\x1f\x8b\x08rest", "it is a compressed file", "unpack it"),
 }
 
 

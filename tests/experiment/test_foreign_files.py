@@ -346,10 +346,10 @@ REFUSED = {
         PLAIN,
         "line 2 has values above the titles in line 6: split the file there",
     ),
-    "separators of thousands": (
+    "thousands separators": (
         "time [s];x [m]\n0;1.234,5\n1;1.2,5\n",
         PLAIN,
-        "`1.234,5` .* write it without a sign for thousands",
+        "`1.234,5` .* write it without thousands separators",
     ),
     "a title with more words": (
         "Latest: Time (s),x (m)\n0,1\n1,2\n",
@@ -358,7 +358,7 @@ REFUSED = {
     ),
     "spaces": ("time x\n0 1\n1 2\n", PLAIN, "must separate its columns"),
     "no titles": ("0,1\n1,2\n", PLAIN, "numbers in place of the column titles"),
-    "a page": ("<html><body>data</body></html>\n", PLAIN, "must separate its columns"),
+    "a page": ("<html><body>data</body></html>\n", PLAIN, "it is a web page"),
     "text": ("Dear reader, this is\nno table, at all.\n", PLAIN, "no column named `time`"),
 }
 

@@ -221,7 +221,7 @@ def test_a_hole_in_every_line_of_a_long_file_is_kept(write: Write) -> None:
         (TITLES, "it has 0 rows of values, and two are needed"),
         (TITLES + "0,1,2\n", "it has 1 row of values"),
         (TITLES + "nan,1,2\nnan,1,2\n", "it has 0 rows of values"),
-        ('{"time": [0, 1]}\n', "it is JSON and no table. Line 1 must hold column titles"),
+        ('{"time": [0, 1]}\n', "it is a JSON file: save the table as CSV"),
         (ROWS, "line 1 holds numbers in place of the column titles"),
         ("time angle\n0 1\n", "line 1 must separate its columns by commas, semicolons or tabs"),
         ("angle [rad],x [m]\n0,1\n1,2\n", r"no column named `time` \(its columns: angle, x\)"),
@@ -246,7 +246,7 @@ def test_a_hole_in_every_line_of_a_long_file_is_kept(write: Write) -> None:
         (TITLES + "2026-11-05 12:00,1,2\n", "line 2 has `2026-11-05 12:00` where column `time"),
         ("time [s]\tx [m]\n0\t1.234,5\n1\t2\n", "line 2 has `1.234,5` where column"),
         ((TITLES + ROWS).encode("utf-16")[:-1], "it is broken UTF-16 text; save it"),
-        (TITLES.encode() + b"0,1,2\n\0\0\0\0", "it holds zero bytes"),
+        (TITLES.encode() + b"0,1,2\n\0\0\0\0", "it is a binary file"),
     ],
     ids=lambda value: repr(value)[:50],
 )

@@ -108,8 +108,8 @@ def test_a_unit_of_an_instrument_is_so_many_of_ours(text: str, unit: str, factor
     ("text", "reason"),
     [
         ("furlong", "`furlong` is not a unit. Known units are kg, .*deg.*mA"),
-        ("counts", r"encoder; write angle = counts \* 360"),
-        ("ticks", "encoder"),
+        ("counts", r"convert to an angle \[deg\], counts \* 360"),
+        ("ticks", "ticks per turn"),
         ("LSB", "converter"),
         ("raw", "instrument"),
         ("", "not a unit"),

@@ -155,6 +155,10 @@ def _about_syntax(error: SyntaxError) -> str:
         return f"{text}. Add the closing bracket"
     if "codec can't decode" in text:
         return "a character is not UTF-8. Save the file as UTF-8"
+    if "unterminated" in text and "string" in text:
+        return f"{text}. Close the quotation mark"
+    if text.startswith("positional argument follows"):
+        return f"{text}. Name the value, or write a decimal point, as in `1.5`"
     return text
 
 
@@ -180,6 +184,10 @@ def _about_python(error: BaseException, text: str) -> str:
         return f"{text}. Install the package, or remove the import"
     if isinstance(error, SystemExit):
         return "the file ends the program (`sys.exit`). Remove the call"
+    if isinstance(error, EOFError):
+        return "the file waits for an input. Write the value into the file"
+    if isinstance(error, FileNotFoundError):
+        return f"the file `{error.filename}` is missing. Write `Path(__file__).parent / ...`"
     words = _ARGUMENTS.match(text)
     if words is not None:
         return _about_arguments(words[1].removesuffix(".__init__"), words[2], words[3], text)
@@ -189,6 +197,8 @@ def _about_python(error: BaseException, text: str) -> str:
     if re.match(r"'(SX|MX|float|int)' object is not callable", text):
         remedy = "Write `*` before its parenthesis, or leave out `()`"
         return f"a formula or number is called (`{text}`). {remedy}"
+    if text == "'dict' object is not callable":
+        return 'a mapping is called. Write square brackets, as in `p["m"]`'
     if "unsupported operand" in text:
         sign = re.search(r"for (\S+?):", text)
         remedy = "Write numbers and `ca.SX` symbols on both sides"

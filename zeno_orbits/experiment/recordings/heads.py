@@ -11,13 +11,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO
 
 from zeno_orbits.errors import CONTROLS, DataFileError
+from zeno_orbits.experiment.recordings.text_files import opened, pieces_of
 from zeno_orbits.model import in_si
-
-_PIECE = 1 << 22
-"""Bytes per piece: large enough for an efficient parser, and small compared with the values."""
 
 _SEPARATORS = ("\t", ";", ",")
 """In the order of the search: a comma may also be a decimal sign."""
@@ -35,7 +32,6 @@ _TIME_ALONE = re.compile(r"t(ime)?\s*([\[(][^\])]*[\])])?", flags=re.IGNORECASE)
 
 _LABELLED = re.compile(r"[^\d\s:][^:]*:\s*[-+.\d][-+.\deE]*")
 """An entry that names its quantity beside the number."""
-_UTF16 = (b"\xff\xfe", b"\xfe\xff")
 COMMENT = "comment"
 """Title of a last column, in lower case, that lines of values may lack."""
 _MOST_LINES = 400
@@ -89,10 +85,6 @@ def read_head(path: Path, *, untitled: bool = False) -> Head:
     if not lines:
         raise DataFileError(
             path, "a line of column titles is missing, such as `time [s],angle [rad]`"
-        )
-    if lines[0][1].lstrip()[0] in "{[":
-        raise DataFileError(
-            path, f"it is JSON and no table. Line {lines[0][0]} must hold column titles"
         )
     head = _above_values(lines, tuple(comments), untitled=untitled)
     if head is None:
@@ -257,66 +249,6 @@ def _of_titles(path: Path, text: str, comments: tuple[str, ...], line: int) -> H
             "`time [s],angle [rad]`",
         )
     return Head(comments=comments, columns=columns, separator=separator, line=line, last=line)
-
-
-def opened(path: Path) -> BinaryIO:
-    """Return a file opened for reading.
-
-    Raises:
-        DataFileError: If it cannot be read, or may not end.
-    """
-    try:
-        if path.is_dir():
-            raise DataFileError(path, "it is a folder: name a file in it")
-        if path.exists() and not path.is_file():
-            # A pipe or a device may not end.
-            raise DataFileError(path, "it is a pipe or a device, and not a file")
-        return path.open("rb")
-    except OSError as error:
-        raise DataFileError(path, f"it cannot be read ({error.strerror})") from error
-
-
-def pieces_of(file: BinaryIO) -> Iterator[str]:
-    """Yield a file in pieces of whole lines with normalised line ends. The last line may be cut."""
-    path = Path(file.name)
-    rest = b""
-    first = True
-    while data := file.read(_PIECE):
-        if first and data.startswith(_UTF16):
-            data = _from_utf16(path, data + file.read())
-        if b"\0" in data:
-            raise DataFileError(
-                path, "it holds zero bytes, which no text has: save it as text, such as CSV"
-            )
-        data = rest + (data.removeprefix(b"\xef\xbb\xbf") if first else data)
-        first = False
-        # A return at the very end may be half of the pair that ends a line in other systems.
-        end = max(data.rfind(b"\n"), data.rfind(b"\r", 0, len(data) - 1)) + 1
-        rest = data[end:]
-        if end:
-            yield _text(data[:end])
-    if rest:
-        yield _text(rest)
-
-
-def _from_utf16(path: Path, data: bytes) -> bytes:
-    """Return a text that spreadsheets write as UTF-16 as UTF-8.
-
-    Raises:
-        DataFileError: If it is cut or mixed.
-    """
-    try:
-        return data.decode("utf-16").encode()
-    except UnicodeError as error:
-        raise DataFileError(path, "it is broken UTF-16 text; save it as UTF-8") from error
-
-
-def _text(data: bytes) -> str:
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
-    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
 def _lines(pieces: Iterator[str]) -> Iterator[str]:

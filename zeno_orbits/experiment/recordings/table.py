@@ -23,10 +23,9 @@ from zeno_orbits.experiment.recordings.heads import (
     MISSING,
     Head,
     number_of,
-    opened,
-    pieces_of,
     short,
 )
+from zeno_orbits.experiment.recordings.text_files import opened, pieces_of
 
 _CLOCK = re.compile(r"\d:\d\d")
 """A time of the day."""
@@ -175,7 +174,9 @@ class _Reader:
             if _CLOCK.search(text):
                 raise DataFileError(self.path, f"{message}: write seconds since the start")
             if number_of(text.replace(".", "").replace(",", "")) is not None:
-                raise DataFileError(self.path, f"{message}: write it without a sign for thousands")
+                raise DataFileError(
+                    self.path, f"{message}: write it without thousands separators"
+                )
             raise DataFileError(self.path, f"{message}: correct or empty it")
         return number
 

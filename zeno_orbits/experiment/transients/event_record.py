@@ -18,9 +18,10 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import DataFileError, InputError, not_known
 from zeno_orbits.experiment.recordings.columns import TIMES, ColumnNotes, columns_of
 from zeno_orbits.experiment.recordings.contacts import contact_channels
-from zeno_orbits.experiment.recordings.heads import number_of, opened, pieces_of, read_head, short
+from zeno_orbits.experiment.recordings.heads import number_of, read_head, short
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording
 from zeno_orbits.experiment.recordings.table import read_table
+from zeno_orbits.experiment.recordings.text_files import opened, pieces_of
 from zeno_orbits.experiment.transients.event_labels import Labels, labelled, sequences_of
 from zeno_orbits.model import in_si
 from zeno_orbits.simulation import EventKind

@@ -158,7 +158,8 @@ def _factor(factor: str, text: str) -> Powers:
         known = ", ".join((*_BASE, *_OTHERS, *_DERIVED))
         remedy = f": write `{meant}`" if meant else f". Known units are {known}"
         if "*" in factor:
-            remedy = f": write `{text.replace('*', ' ')}`, with spaces"
+            meant = text.replace("**", "^").replace("*", " ")
+            remedy = f": write `{meant}`, with spaces"
         where = f"`{shortened(factor)}`" + (f" in `{shortened(text)}`" if factor != text else "")
         raise ValueError(f"{where} is not a unit{remedy}")
     power = int(found[2] or 1)
@@ -252,12 +253,12 @@ _SPELLED: Mapping[str, str] = {
 }
 
 _NO_SCALE: Mapping[str, str] = {
-    "count": "its scale depends on the encoder; write angle = counts * 360 / counts per turn [deg]",
-    "tick": "its scale depends on the encoder; write angle = ticks * 360 / ticks per turn [deg]",
-    "step": "its scale depends on the machine; write a length or an angle",
-    "lsb": "its scale depends on the converter; write the quantity that it stands for",
-    "bit": "its scale depends on the converter; write the quantity that it stands for",
-    "raw": "its scale depends on the instrument. Write the unit of the quantity",
+    "count": "convert to an angle [deg], counts * 360 / counts per turn",
+    "tick": "convert to an angle [deg], ticks * 360 / ticks per turn",
+    "step": "convert to an angle or a length, steps * size of a step",
+    "lsb": "convert to volts [V], value * range in volts / number of values of the converter",
+    "bit": "convert to volts [V], value * range in volts / number of values of the converter",
+    "raw": "convert to the quantity, by the data sheet of the instrument",
 }
 
 
@@ -273,7 +274,7 @@ def in_si(text: str) -> tuple[str, float]:
     spelled = _SPELLED.get(text.strip(), text.strip())
     for word, hint in _NO_SCALE.items():
         if spelled.lower().removesuffix("s") == word:
-            raise ValueError(f"`{shortened(text)}` is not a unit: {hint}")
+            raise ValueError(f"`{shortened(text)}` has no fixed size: {hint}")
     above, slash, below = spelled.partition("/")
     parts = [above.split(), below.split()]
     factor = 1.0
