@@ -44,8 +44,8 @@ INNER = (4.3, -1.5)
 """Kp and Kd of an orbit whose family in Kd is shaped like an S, two folds and two flips more."""
 KINDS = tuple(kind for kind in SpecialPointKind if kind.located)
 SETTINGS = ContinuationSettings(curve=CurveSteps(most=120))
-"""Beyond its hairpin the end of the locked arc takes ever shorter steps: the 63 points after these
-120 took six minutes for 0.023 of Kp."""
+"""Beyond its hairpin the end of the contact phase takes ever shorter steps: the 63 points after
+these 120 took six minutes for 0.023 of Kp."""
 PROBLEM = "motor_pendulum"
 
 

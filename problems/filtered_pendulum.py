@@ -133,7 +133,7 @@ PROBLEM = Problem(
     portraits=(("theta1", "dtheta1"), ("theta2", "dtheta2")),
     amplitude_of="theta1",
     escapes={
-        "theta1": StateLimit(beyond=6.283185307179586, phrase="link 1 whirls"),
+        "theta1": StateLimit(beyond=6.283185307179586, phrase="link 1 rotates"),
         "theta2": StateLimit(beyond=6.283185307179586, phrase="link 2 goes over the top"),
     },
 )

@@ -248,7 +248,7 @@ FULL = Problem(
     # Link 2 swings to half a turn and comes back; after a whole one it meets the stop from behind.
     # Link 1 never came back from the top in what was tried, but only a whole turn is beyond doubt.
     escapes={
-        "theta1": StateLimit(beyond=2 * math.pi, phrase="link 1 whirls"),
+        "theta1": StateLimit(beyond=2 * math.pi, phrase="link 1 rotates"),
         "theta2": StateLimit(beyond=2 * math.pi, phrase="link 2 goes over the top"),
     },
     outputs=(Output(name="tip_height", unit="m", formula=tip_height),),

@@ -97,7 +97,7 @@ class Pendulum:
         return m12 / m11 * r1 - r2
 
     def multiplier_rate(self, x: Vector) -> float:
-        """Return the multiplier's rate along the locked flow [N m/s], for states on the stop."""
+        """Return the multiplier's rate along the constrained flow [N m/s], for contact states."""
         m11, m12, _ = self.inertias(x)
         theta1, rate1 = float(x[0]), float(x[2])
         fall = self.g * math.cos(theta1) * rate1

@@ -135,7 +135,7 @@ class Pendulum:
         return m12 / m11 * r1 - r2
 
     def multiplier_rate(self, x: Vector) -> float:
-        r"""Return :math:`\dot\lambda` along the locked flow [N m/s], for states on the stop.
+        r"""Return :math:`\dot\lambda` along the constrained flow [N m/s], for states on the stop.
 
         There :math:`\theta_2 = \dot\theta_2 = 0` and both stay so; the multiplier is
 

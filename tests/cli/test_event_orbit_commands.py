@@ -35,7 +35,7 @@ def test_simulate_writes_samples_and_a_picture() -> None:
     assert answer.code == YES
     assert Path("data.csv").stat().st_size > 1000
     assert Path("states.png").stat().st_size > 1000
-    assert "locked at lower" in answer.out
+    assert "contact at lower" in answer.out
 
 
 def test_search_writes_a_file_that_verify_passes() -> None:

@@ -186,7 +186,7 @@ def test_a_machine_without_such_cycles_is_a_no_and_leaves_no_file(
     stuck = ("--only", "friction", "--part", "friction.theta1.coulomb=0.5")
     answer = ask("rig", file, *stuck, "--cycles", "1", "-o", written)
     assert answer.code == NO
-    assert "cycles with a lock where 9 were expected" in answer.err
+    assert "cycles with a lasting contact, but 9 were expected" in answer.err
     assert not written.exists()
 
 

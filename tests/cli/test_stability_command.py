@@ -37,9 +37,11 @@ def test_a_stable_orbit_is_told_with_its_return_map_and_its_times() -> None:
     assert "0 (below rounding)" in answer.out
     assert "just after `release stop`" in answer.out
     assert "per dtheta1 [rad/s]" in answer.out
-    assert "Norm of DP (largest row sum, coordinates relative to their largest" in answer.out
+    assert "Norm of DP (largest row sum, in scaled coordinates): 0.0" in answer.out
     assert "Slowest direction: mostly current, with dtheta1 (2.81 rad/s per A)" in answer.out
-    assert "decays to 1/e in 0.2535 periods (0.4599 s), to 1 % in 1.168 periods" in answer.out
+    assert "decays to 1/e in 0.2535 periods (0.4599 s)." in answer.out
+    assert "decays to 1 % in 1.168 periods (2.118 s)." in answer.out
+    assert max(map(len, lines)) <= 80
 
 
 def test_the_section_of_several_stops_is_named_by_its_event() -> None:
@@ -77,7 +79,7 @@ def test_an_unstable_orbit_doubles_and_is_a_no(repelling: zo.Orbit) -> None:
     assert answer.code == NO
     assert answer.out.startswith("Orbit of motor_pendulum: unstable, spectral radius 2.91092")
     # ln 2 / ln 2.910917734.
-    assert "A small disturbance grows to twice in 0.6487 periods" in answer.out
+    assert "A small disturbance grows to twice its size in 0.6487 periods" in answer.out
     assert "Fastest growth: mostly" in answer.out
 
 

@@ -166,7 +166,7 @@ def test_close_to_the_end_of_the_locked_arc_the_family_is_right_to_many_digits()
     # Where 1e-5 of the restitution is left, and some milliseconds of the lock.
     orbit, value = pendulum_orbit(restitution=0.41), 0.41678
     point = only(family_of_orbit(PENDULUM, orbit, "restitution", (0.4, value)).families).points[-1]
-    assert point.margins["locked time"] < 2e-3
+    assert point.margins["contact duration"] < 2e-3
     values = PENDULUM.values(parameters={"restitution": value})
     exact = extended_orbit(PENDULUM, values, list(point.state.values()), digits=15)
     assert point.period == pytest.approx(float(exact.period), abs=1e-10)

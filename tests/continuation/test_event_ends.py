@@ -44,7 +44,7 @@ def test_the_contact_phases_of_the_clapper_vanish_where_exact_flights_say() -> N
     assert not accumulates(**FORCE, restitution=end.at.value + width)
     # Both contact phases shrink as the power 0.6 of the distance, theory (5.7).
     for stop in ("upper", "lower"):
-        times = [point.margins[f"locked time, release {stop}"] for point in family.points]
+        times = [point.margins[f"contact duration, release {stop}"] for point in family.points]
         assert times[-1] < times[0]
 
 

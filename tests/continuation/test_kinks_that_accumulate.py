@@ -147,7 +147,7 @@ def test_a_family_goes_on_where_the_number_of_resolved_flights_changes(name: str
     assert [family.first.kind, family.last.kind] == 2 * [SpecialPointKind.BOUND]
     assert not family.special
     for end in (family.first, family.last):
-        locked = end.at.margins["locked time, release wall"]
+        locked = end.at.margins["contact duration, release wall"]
         assert locked == pytest.approx(MACHINES[name].contact(end.at.value), abs=2e-7)
 
 

@@ -73,11 +73,11 @@ def truth_of(orbit: Orbit, stretch: float) -> dict[str, float]:
         "restitution seen": orbit.parameters["restitution"],
         "end of chatter": stretch * orbit.zeno_time,
         "chatter duration": stretch * (orbit.zeno_time - after),
-        "locked duration": stretch * (orbit.period - orbit.zeno_time),
+        "contact duration": stretch * (orbit.period - orbit.zeno_time),
         "release time": stretch * orbit.period,
         "delay of theta1": 0.0,
         "delay of current": 0.0,
-        "gap while locked": 0.0,
+        "gap in contact": 0.0,
     }
 
 
@@ -106,7 +106,7 @@ def test_the_numbers_of_a_copy_are_the_orbits_own(
     # A claimed error that is huge would make the above say nothing.
     assert found.metric("first impact time").error < 1e-3
     assert found.metric("period").error < 1e-3
-    assert found.metric("locked duration").error < 2e-2
+    assert found.metric("contact duration").error < 2e-2
 
 
 @pytest.mark.slow
@@ -136,7 +136,7 @@ def test_a_known_deviation_is_measured(orbit: Orbit, problem: Problem, table: Or
     assert any("`current` looks cut off" in remark for remark in found.remarks)
     # The same offset everywhere: its root mean square is the offset. What is cut off moves the
     # alignment by less than 0.5 ms, and link 1 by 8 rad/s times that.
-    for part in ("in flight", "in chatter", "locked"):
+    for part in ("in flight", "in chatter", "in contact"):
         rms = found.metric(f"rms deviation {part} of theta1")
         assert rms.data == pytest.approx(0.05, abs=4e-3)
 
@@ -301,7 +301,7 @@ def test_signals_that_jump_are_aligned_as_well() -> None:
     table = tabulate_orbit(orbit, problem, ("distance", "speed"))
     found = compare_recording(orbit, problem, recorded(table, problem, noise=1e-3, rate=60.0))
     assert found.agrees, found.reasons
-    for what in ("first impact time", "end of chatter", "release time", "locked duration"):
+    for what in ("first impact time", "end of chatter", "release time", "contact duration"):
         metric = found.metric(what)
         assert abs(metric.data - metric.orbit) < SURE * metric.error < 0.05, metric
 
@@ -358,7 +358,7 @@ def test_the_data_are_plain_and_finite(compared: tuple[Recording, Comparison]) -
     units = {metric.name: metric.unit for metric in found.metrics}
     assert units["period"] == units["delay of current"] == "s"
     assert units["first impact speed"] == "rad/s"
-    assert units["highest of current"] == units["rms deviation locked of current"] == "A"
+    assert units["highest of current"] == units["rms deviation in contact of current"] == "A"
 
 
 def test_each_curve_of_the_picture_is_what_its_label_says(
@@ -467,7 +467,7 @@ def test_phases_too_short_for_the_sampling_are_not_resolved_or_right(
 def names_of_contact_metrics(found: Comparison) -> list[str]:
     """Return the names of the numbers that contacts give."""
     names = [metric.name for metric in found.metrics]
-    return names[1 : names.index("gap while locked")]
+    return names[1 : names.index("gap in contact")]
 
 
 # ---------------------------------------------------------------- samples few, many, or cut off
@@ -582,7 +582,7 @@ def test_a_period_of_few_samples_is_none_of_its_multiples(
     start = np.random.default_rng(seed).random()
     copy = recorded(table, problem, noise=1e-2, rate=100.0, seed=seed, start=start)
     found = compare_recording(orbit, problem, copy)
-    # A locked phase of a few samples is not resolved; that it is none of the orbit's, nobody knows.
+    # A contact phase of a few samples is not resolved, so it may be the orbit's.
     assert found.agrees, found.reasons
     assert found.metric("period").data == pytest.approx(orbit.period, rel=1e-3)
 

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.comparison import SURE, machine, recorded, scores
 
 CYCLES, NOISE = 30, 1e-3
-ALWAYS = ("period", "first impact time", "gap while locked")
+ALWAYS = ("period", "first impact time", "gap in contact")
 """Numbers that 150 samples a period always tell."""
 
 

@@ -1,4 +1,4 @@
-"""Machines with stiff stops tell the story of their orbits, on every problem with a locked arc.
+"""Machines with stiff stops tell the story of their orbits, on every problem with a contact phase.
 
 Theory (6.6): a contact lasts some `sqrt(m_n / k)`, and a machine differs from its orbit by as much,
 relative to the period. So the stiffness is chosen by what part of the period a contact lasts.

@@ -114,7 +114,7 @@ OTHERS = [
     ("juggler", "A", 0.065, {"highest of height", "first impact speed"}),
     ("juggler", "omega", 13.5, {"period"}),
     ("rocking_block", "restitution", 0.25, {"restitution seen"}),
-    ("rocking_block", "slenderness", 0.18, {"highest of tilt", "locked duration"}),
+    ("rocking_block", "slenderness", 0.18, {"highest of tilt", "contact duration"}),
 ]
 
 

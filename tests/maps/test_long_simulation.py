@@ -70,7 +70,7 @@ def test_where_the_locked_arc_has_shrunk_to_nothing_the_orbit_has_no_zeno_point(
 @pytest.mark.parametrize(
     ("gains", "name", "phrase"),
     [
-        ({"Kp": 2.5, "Kd": -1.8}, "theta1", "link 1 whirls"),
+        ({"Kp": 2.5, "Kd": -1.8}, "theta1", "link 1 rotates"),
         ({"Kp": 3.0, "Kd": -3.0}, "theta2", "link 2 goes over the top"),
     ],
 )
@@ -122,7 +122,7 @@ def test_an_oscillation_that_grows_slowly_is_told_so_and_one_that_died_rests() -
 
 def test_a_coordinate_without_a_bound_runs_away_in_the_end() -> None:
     found = at(oscillator(stiffness=-1.0))
-    assert (found.fate, found.escaped, found.detail) == (AttractorClass.ESCAPE, "x", "x runs away")
+    assert (found.fate, found.escaped, found.detail) == (AttractorClass.ESCAPE, "x", "x diverges")
 
 
 def test_free_oscillations_repeat_without_a_zeno_point() -> None:
@@ -143,7 +143,7 @@ def test_a_simulation_that_stops_is_a_failure_with_its_reason(problem: Problem) 
     [
         Attractor(fate=AttractorClass.REST, state={"x": 0.0}),
         Attractor(fate=AttractorClass.UNSETTLED, trend=0.0),
-        Attractor(fate=AttractorClass.ESCAPE, escaped="x", detail="x runs away"),
+        Attractor(fate=AttractorClass.ESCAPE, escaped="x", detail="x diverges"),
         Attractor(
             fate=AttractorClass.ZENO,
             returns=2,

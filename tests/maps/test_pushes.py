@@ -232,7 +232,7 @@ def test_pushes_that_no_simulation_can_follow_are_lost() -> None:
     settings = zo.PushSettings(phases=1, steps=1, reach=1e100)
     found = zo.largest_push(orbit, directions=[{"theta2": 1.0}], settings=settings)
     assert found.least is not None
-    assert found.least.beyond == "link 1 whirls"
+    assert found.least.beyond == "link 1 rotates"
     assert found.least.largest < 1.0
 
 

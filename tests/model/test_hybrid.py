@@ -1,4 +1,4 @@
-"""The completed system: reset map, multiplier and locked flow against their laws."""
+"""The completed system: reset map, multiplier and constrained flow against their laws."""
 
 from __future__ import annotations
 

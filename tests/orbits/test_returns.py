@@ -52,7 +52,7 @@ OF_DIFFERENCES = 1e-8
 
 
 def numbers_of(found: EventReturn) -> Vector:
-    """Return end state, then period, Zeno time, locked time, gap acceleration, first rate."""
+    """Return end state, then period, Zeno time, contact duration, gap acceleration, first rate."""
     zeno = next(event for event in found.events if isinstance(event, ZenoPoint))
     first = next(event for event in found.events if isinstance(event, Impact))
     acceleration = found.differentiation.graph.first.gap_acceleration(zeno.state)
@@ -237,7 +237,7 @@ def test_a_plastic_impact_has_a_derivative_of_rank_one(problem: Problem) -> None
         ]
     )
     assert jacobian == pytest.approx(measured, abs=OF_DIFFERENCES)
-    # The locked arc forgets the current to exp(-700).
+    # The contact phase forgets the current to exp(-700).
     sizes = np.linalg.svd(jacobian, compute_uv=False)
     assert sizes[1] < 1e-12 < 1e-2 < sizes[0]
 
@@ -592,7 +592,7 @@ def test_a_clock_that_keeps_any_amplitude_has_the_multiplier_one() -> None:
 
 
 def test_a_locked_arc_forgets_the_current(problem: Problem) -> None:
-    # With R / L = 1500 a second, the locked arc of half a second forgets it to exp(-700): one
+    # With R / L = 1500 a second, the contact phase of half a second forgets it to exp(-700): one
     # multiplier is zero. At e = 0 this is the whole of the second one.
     dynamics = problem.dynamics(problem.values(parameters={"restitution": 0.0}))
     settled = CENTRE

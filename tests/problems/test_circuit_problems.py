@@ -143,13 +143,13 @@ def test_the_family_of_the_relief_valve_ends_where_it_no_longer_rests(
         "1",
     ]
     assert main(words) == 0
-    assert "locked arc vanishes" in capsys.readouterr().out
+    assert "contact phase vanishes" in capsys.readouterr().out
     family = json.loads(file.read_text())
     ends = [
         point["value"]
         for one in family["families"]
         for point in one["ends"]
-        if point["kind"] == "locked arc vanishes"
+        if point["kind"] == "contact phase vanishes"
     ]
     # By hand the pressure at the Zeno point nears the preload by a power of the distance.
     flows = np.array([0.9, 0.902, 0.903])

@@ -96,7 +96,7 @@ def _disagreements(one: HybridDynamics, other: HybridDynamics, x: Vector) -> dic
     pairs = {name: (getattr(one, name)(x), getattr(other, name)(x)) for name in NUMBERS}
     pairs |= {
         "free flow": (one.free.rate(x), other.free.rate(x)),
-        "locked flow": (one.locked.rate(x), other.locked.rate(x)),
+        "constrained flow": (one.locked.rate(x), other.locked.rate(x)),
         "reset_map": (one.reset_map(x, rate), other.reset_map(x, rate)),
         "impulse_direction": (one.impulse_direction(x), other.impulse_direction(x)),
         "multiplier_rate": (one.multiplier_rate(resting), other.multiplier_rate(resting)),

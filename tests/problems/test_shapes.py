@@ -140,7 +140,7 @@ def test_beyond_a_flip_the_pendulum_comes_back_to_what_a_long_simulation_ends_on
 
 @pytest.mark.slow
 def test_beyond_the_end_of_its_zeno_orbits_the_pendulum_strikes_three_times_a_period() -> None:
-    # The locked arc vanishes at e = 0.417; beyond, the stop lets go before the impacts die out.
+    # The contact phase vanishes at e = 0.417; beyond, the stop lets go before the impacts die out.
     problem, orbit = (
         load_problem("motor_pendulum"),
         found("motor_pendulum", (("restitution", 0.5),)),

@@ -549,7 +549,7 @@ def test_a_release_where_only_the_problems_multiplier_vanishes_is_refused(shift:
 def test_a_proof_asks_neither_for_the_locked_flow_nor_for_the_length_of_the_impulse_direction(
     zeno: Certificate,
 ) -> None:
-    # What is proved is the locked flow that the checker makes of the free one.
+    # What is proved is the constrained flow that the checker makes of the free one.
     leaving = ca.SX([0, 1e-8, 0, 0])
     changed = _of_changed(
         zeno,

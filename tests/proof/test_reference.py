@@ -88,7 +88,7 @@ def test_an_orbit_that_repels_is_proved_by_krawczyks_operator() -> None:
 
 @pytest.mark.weekly
 def test_an_orbit_just_beyond_the_end_of_its_family_is_not_proved() -> None:
-    # The locked arc vanishes at e = 0.41678996771.
+    # The contact phase vanishes at e = 0.41678996771.
     parameters = {"restitution": 0.4167}
     found = zo.find_orbit_by_shooting("motor_pendulum", gains=GAINS, parameters=parameters).unwrap()
     beyond = replace(found, parameters={**found.parameters, "restitution": 0.4168})

@@ -1,6 +1,6 @@
 """What a motion settles to, by simulating it for long: slow, plain, and apart from fast maps.
 
-Nothing is solved for: the motion is followed until it repeats, dies out or runs away. Maps are
+Nothing is solved for: the motion is followed until it repeats, dies out or diverges. Maps are
 held against it.
 """
 
@@ -114,7 +114,7 @@ def _escape(problem: Problem, state: Vector) -> Attractor:
     name = problem.escaped(state.tolist())
     if not name:
         name = problem.state_names[int(np.argmax(np.abs(state[: len(state) // 2])))]
-        return Attractor(fate=AttractorClass.ESCAPE, escaped=name, detail=f"{name} runs away")
+        return Attractor(fate=AttractorClass.ESCAPE, escaped=name, detail=f"{name} diverges")
     return Attractor(fate=AttractorClass.ESCAPE, escaped=name, detail=problem.escapes[name].phrase)
 
 

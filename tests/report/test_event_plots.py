@@ -68,7 +68,7 @@ def test_the_closed_intervals_of_each_stop_are_shaded_in_a_colour_of_its_own() -
     # By symmetry both stops are closed equally long.
     assert np.ptp(closed[0]) == pytest.approx(np.ptp(closed[1]), rel=1e-9)
     for name in ("upper", "lower"):
-        assert {f"locked arc: {name}", f"impact: {name}"} <= _labels(figure)
+        assert {f"contact phase: {name}", f"impact: {name}"} <= _labels(figure)
 
 
 def test_two_stops_that_are_closed_at_once_share_the_height_of_a_panel() -> None:
@@ -127,7 +127,7 @@ def test_switches_are_lines_at_their_times_and_marks_at_their_states() -> None:
 def test_an_orbit_of_events_is_drawn_as_portraits_with_its_resets() -> None:
     orbit = event_orbit("kneed_walker")
     figure = zo.plot(orbit)
-    assert {"switch: heel strike", "locked arc: knee", "Zeno point", "reset"} <= _labels(figure)
+    assert {"switch: heel strike", "contact phase: knee", "Zeno point", "reset"} <= _labels(figure)
     strike = orbit.events[-1].state
     start = orbit.start_state
     resets = [_points(line) for line in figure.axes[0].lines if line.get_label() == "reset"]
@@ -139,7 +139,7 @@ def test_an_orbit_of_events_is_drawn_as_portraits_with_its_resets() -> None:
 def test_the_legend_lacks_a_contact_phase_that_is_a_point_of_the_portrait() -> None:
     figure = plots.plot_portraits(zo.load_problem("clapper"), _motion("clapper"))
     assert "Zeno point" in _labels(figure)
-    assert not any(label.startswith("locked arc") for label in _labels(figure))
+    assert not any(label.startswith("contact phase") for label in _labels(figure))
 
 
 @pytest.mark.parametrize(

@@ -212,8 +212,8 @@ def test_the_recovery_stands_on_the_page(subject: Subject) -> None:
     recovery = recovery_of(subject.orbit, subject.problem)
     section = section_of(page_of(replace(subject, recovery=recovery), load_bundle()))
     assert f"decays to 2 % in 6 periods ({6 * subject.orbit.period:.6g} s)" in section
-    assert "factor 0.4375 per period, spectral radius 0.375" in section
-    assert "Ball whose samples return into it: radius 0.25." in section
+    assert "Factor 0.4375 per period, spectral radius 0.375" in section
+    assert "Ball whose samples return into it: radius 0.25 (scaled, no unit)." in section
     # Two tests share the doubt of 10 %: the second one has a sixth of it.
     share = 1.0 - (0.1 / 6.0) ** (1.0 / 130.0)
     told = f"130 samples return: with confidence 90 %, at most {100 * share:.2g} % of the ball"

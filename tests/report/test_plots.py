@@ -272,7 +272,7 @@ def test_time_series_show_coordinates_their_velocities_beside_them_and_the_curre
     arcs = [arc for arc in orbit.execution.arcs if arc.ending is not Ending.ZENO]
     for label, column in columns.items():
         ax = labels[label]
-        lines = [line for line in ax.lines if line.get_label() in {"free arc", "locked arc"}]
+        lines = [line for line in ax.lines if line.get_label() in {"free arc", "contact phase"}]
         for line, arc in zip(lines, arcs, strict=True):
             times, values = points(line).T
             assert values == pytest.approx([arc.state_at(t)[column] for t in times], abs=1e-9)
@@ -287,7 +287,7 @@ def test_portraits_show_each_arc_over_the_states_that_their_axes_name(orbit: Sho
     for ax, pair in zip(figure.axes, ([0, 2], [1, 3]), strict=True):
         assert ax.get_xlabel() == rf"$\theta_{{{pair[0] + 1}}}$ [rad]"
         assert ax.get_ylabel() == rf"$\dot{{\theta}}_{{{pair[0] + 1}}}$ [rad/s]"
-        lines = [line for line in ax.lines if line.get_label() in {"free arc", "locked arc"}]
+        lines = [line for line in ax.lines if line.get_label() in {"free arc", "contact phase"}]
         for line, arc in zip(lines, arcs, strict=True):
             ends = points(line)[[0, -1]]
             assert ends.tolist() == [arc.start_state[pair].tolist(), arc.end_state[pair].tolist()]
@@ -520,7 +520,7 @@ EVERY_FATE = (
     Attractor(fate=AttractorClass.SIMPLE, returns=1, period=1.8),
     Attractor(fate=AttractorClass.NO_ZENO, period=1.8),
     Attractor(fate=AttractorClass.REST),
-    Attractor(fate=AttractorClass.ESCAPE, escaped="theta1", detail="link 1 whirls"),
+    Attractor(fate=AttractorClass.ESCAPE, escaped="theta1", detail="link 1 rotates"),
     Attractor(fate=AttractorClass.ESCAPE, escaped="theta2", detail="link 2 goes over the top"),
     Attractor(fate=AttractorClass.UNSETTLED),
     Attractor(fate=AttractorClass.UNSETTLED, trend=1.1),

@@ -148,7 +148,7 @@ def test_an_orbit_that_is_left_later_is_certified_by_its_first_period() -> None:
     pull = 0.5
     problem, attracting = repelling_clock(pull), clocked_oscillator(FORCED, attracting=True)
     known = orbit_by_shooting(attracting, attracting.values(), simulation=SETTINGS).unwrap()
-    # Outside by 1e-11, the clock is off by exp(pi) more after every turn, and soon runs away.
+    # Outside by 1e-11, the clock is off by exp(pi) more after every turn, and soon diverges.
     off = {name: known.release_state[name] * (1 + 1e-11) for name in ("y", "dy")}
     # The equations of its clock are others on purpose.
     orbit = changed(known, release_state={**known.release_state, **off}, problem_digest=())

@@ -61,7 +61,7 @@ def test_the_margin_of_a_clapper_is_the_distance_to_the_end_of_its_family() -> N
     (family,) = zo.continue_orbit(found.orbit, ("A", 0.9, 3.5)).families
     assert family.first.kind is zo.SpecialPointKind.LOCK_VANISHES
     assert found.value == pytest.approx((3.0 - family.first.at.value) / 2.5, abs=1e-4)
-    assert "the locked arc before `release" in found.detail
+    assert "the contact phase before `release" in found.detail
 
 
 @pytest.mark.weekly
@@ -189,7 +189,7 @@ def test_bounds_on_contacts_are_reached(name: str, lower: float) -> None:
 def test_the_share_of_one_stop_is_that_of_its_list_of_events() -> None:
     problem = zo.load_problem("motor_pendulum")
     orbit = zo.find_orbit(problem, gains={"Kp": 2.5, "Kd": -1.0}).unwrap()
-    # The locked arc is the nearest way to lose this orbit.
+    # The contact phase is the nearest way to lose this orbit.
     share = orbit.certificate["margins"]["locked_time"] / orbit.period
     bound = zo.Bound(name="margin", lower=0.0)
     found = zo.search_gains(problem, vary={}, gains={"Kp": 2.5, "Kd": -1.0}, bounds=[bound])

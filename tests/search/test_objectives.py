@@ -352,9 +352,9 @@ def test_the_end_of_a_family_is_named(problem: Problem, orbit: Orbit) -> None:
     values = problem.values(parameters={"restitution": 0.5})
     result = search_orbits(problem, values, free={}, near=orbit, settings=ONCE)
     assert result.status is SearchStatus.NO_GUESS
-    assert "the locked arc vanishes" in result.detail
+    assert "the contact phase vanishes" in result.detail
     end = float(result.detail.split("restitution = ")[1].split(",")[0])
-    # Where the locked arc vanishes was measured beforehand to be near 0.417.
+    # Where the contact phase vanishes was measured beforehand to be near 0.417.
     assert end == pytest.approx(0.4168, abs=2e-4)
 
 

@@ -223,7 +223,7 @@ def test_a_restitution_beyond_the_family_leaves_no_zeno_orbit(problem: Problem) 
     assert result.orbit is None
     # The family ends near 0.417.
     assert "Orbits could be followed to restitution = 0.416" in result.detail
-    assert "there the locked arc vanishes" in result.detail
+    assert "there the contact phase vanishes" in result.detail
 
 
 @pytest.mark.slow

@@ -146,7 +146,7 @@ def test_the_derivatives_do_not_depend_on_the_steps_that_the_arcs_were_made_of(
     machine, few = _oscillator(NUMBERS), FixedImpacts(n_impacts=1)
     settings = _settings(few), _settings(few, engine)
     usual, other = (_by_loop(machine, START, 9.0, one) for one in settings)
-    # One impact: the arcs are a flight, the tail of the sequence and the locked arc.
+    # One impact: the arcs are a flight, the tail of the sequence and the contact phase.
     found, expected = (_events_shift(machine, run) for run in (other, usual))
     assert found == pytest.approx(expected, abs=1e-9)
 
@@ -163,7 +163,7 @@ def test_the_zeno_point_of_a_plastic_impact_moves_as_the_impact(run: Run) -> Non
     ended = run(machine, START, 9.0, _settings(ZenoExtrapolation()))
     flight, locked = _motions(_walk(machine, (1, 5)), ended)
     impact, after, zeno = ended.impacts[0], flight.crossings[0][2], locked.start
-    # Restitution adds a tail: a time 2 w / |h''| and the way of the locked flow in it.
+    # Restitution adds a tail: a time 2 w / |h''| and the way of the constrained flow in it.
     tail = -2 * impact.approach_rate / abs(machine.gap_acceleration(impact.state_plus))
     way = machine.locked.rate(impact.state_plus)
     assert zeno.time == pytest.approx(after.time + tail * np.eye(6)[5], abs=1e-12)

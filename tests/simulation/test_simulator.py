@@ -418,7 +418,7 @@ def test_cutting_the_sequence_is_of_third_order_at_a_later_time(
     pendulum: Pendulum, one_period: Execution
 ) -> None:
     dynamics = pendulum()
-    later = 1.6  # inside the locked arc
+    later = 1.6  # inside the contact phase
     exact = one_period.state_at(later)
     errors, speeds = [], []
     for impact in one_period.impacts[1:4]:
@@ -693,7 +693,7 @@ def test_a_motion_that_dies_out_is_followed_to_rest() -> None:
 @pytest.mark.parametrize("gain", [-10.0, -1e3])
 @pytest.mark.slow
 def test_a_motion_that_speeds_up_without_end_is_told_in_a_tenth_of_the_steps(gain: float) -> None:
-    # Feedback of the wrong sign: the shoulder whirls ever faster, and every turn takes its steps.
+    # Feedback of the wrong sign: the shoulder turns ever faster, and every turn takes its steps.
     problem = load_problem("motor_pendulum")
     dynamics = problem.dynamics(problem.values(gains={"Kd": gain}))
     with pytest.raises(RunawayError, match="dtheta1 grows without bound") as caught:

@@ -416,7 +416,7 @@ def test_a_simulation_passes_through_with_few_impacts_and_releases_at_the_same_s
     by_impacts = _simulated(dynamics, state, ZenoExtrapolation())
     passed = _simulated(dynamics, state, ZenoPassage())
     assert len(passed.impacts) < 60 < 600 < len(by_impacts.impacts)
-    # The locked flow damps and stretches by no more than a few units.
+    # The constrained flow damps and stretches by no more than a few units.
     assert passed.releases[0].time == pytest.approx(by_impacts.releases[0].time, abs=1e-11)
     assert passed.releases[0].state == pytest.approx(by_impacts.releases[0].state, abs=1e-10)
     assert passed.zeno_points[0].last_speed > 1e-3

@@ -559,7 +559,7 @@ def _quasi_static_error(until: float) -> float:
 
 
 def _feed_energy() -> float:
-    """Follow a motion that a gain of the wrong sign feeds until it whirls beyond all bounds."""
+    """Follow a motion that a gain of the wrong sign feeds until it turns beyond all bounds."""
     problem, compiled = _compiled("motor_pendulum")
     values = problem.values(parameters=CALIBRATED, gains={"Kd": -1e6})
     few = SimulationSettings(most_steps=20_000)
@@ -692,7 +692,7 @@ PENDULUM_ROWS = [
     ),
     *(
         Row(
-            kind="pendulum, locked arc shrinks, e =",
+            kind="pendulum, contact phase shrinks, e =",
             at=f"{e:g}",
             asked=EVENTS,
             truth=SECOND,
@@ -829,7 +829,7 @@ SEARCH_ROWS = [
         kind="orbit of the pendulum past the end of the family, e =",
         at="0.42",
         asked="an orbit with a Zeno point",
-        truth="none exists (locked arcs above)",
+        truth="none exists (contact phases above)",
         error=partial(_search_error, 0.42),
         ends_in=OrbitNotFoundError,
         slow=True,

@@ -548,7 +548,7 @@ def hand_out(
 ) -> None:
     """Draw, write and print a result, depending on ``--plot``, ``-o`` and ``--json``.
 
-    The file comes after the picture: drawing takes long enough to be interrupted.
+    The picture is drawn first, since an interrupt while drawing must leave no file.
 
     Args:
         options: The parsed options.

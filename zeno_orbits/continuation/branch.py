@@ -246,7 +246,7 @@ class _Follower:
                 first, second = (one.margins[margin] for one in ends)
                 allowed = self.steps.stray * max(first, second)
                 if abs(value - (first + second) / 2) > allowed:
-                    raise StepError("the locked time jumps")
+                    raise StepError("the contact duration jumps")
 
     def _effort(self, last: BranchPoint, new: BranchPoint, step: float) -> float:
         """Return the larger of the turn and the stray of a step, relative to its limit."""

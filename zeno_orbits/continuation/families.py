@@ -24,7 +24,7 @@ class SpecialPointKind(Enum):
     FLIP = "flip"
     TORUS = "Neimark-Sacker"
     BRANCHING = "branch point"
-    LOCK_VANISHES = "locked arc vanishes"
+    LOCK_VANISHES = "contact phase vanishes"
     THEOREM_LOST = "d2h/dt2 = 0, multiplier rising"
     GRAZING = "first impact grazes"
     EARLIER_GRAZING = "earlier contact grazes"

@@ -65,7 +65,7 @@ def locate_cut(
             trouble = error
             continue
         return replace(found, margins={**last.found.margins, margin: 0.0})
-    raise trouble or SimulationError("The locked arc does not vanish", time=0.0, state=())
+    raise trouble or SimulationError("The contact phase does not vanish", time=0.0, state=())
 
 
 def locate_cut_near(
@@ -97,7 +97,7 @@ def locate_cut_near(
             # end is. So fewer impacts may still occur.
             continue
     raise SimulationError(
-        "The end of the locked arc is not near the predicted point", time=0.0, state=()
+        "The end of the contact phase is not near the predicted point", time=0.0, state=()
     )
 
 
@@ -209,7 +209,7 @@ class _Near:
         """Reject a point outside the ball."""
         if not float(np.linalg.norm(z - self.centre)) <= self.reach:
             raise SimulationError(
-                "The locked arc does not vanish near the predicted point", time=0.0, state=()
+                "The contact phase does not vanish near the predicted point", time=0.0, state=()
             )
 
 
@@ -241,7 +241,7 @@ def _cut_root(
         here, value = other, other.found.margins[cut]
         if abs(value / slope) < 3 * _ROOT:
             return here
-    raise SimulationError("The end of the locked arc is not found", time=0.0, state=())
+    raise SimulationError("The end of the contact phase is not found", time=0.0, state=())
 
 
 def _less(
@@ -260,4 +260,4 @@ def _less(
             if abs(other.found.margins[cut]) < 2 * abs(here.found.margins[cut]):
                 return other
         distance /= 4
-    raise SimulationError("The end of the locked arc is not found", time=0.0, state=())
+    raise SimulationError("The end of the contact phase is not found", time=0.0, state=())

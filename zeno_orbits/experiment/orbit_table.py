@@ -250,7 +250,11 @@ class PeriodTable:
                 [within(one.zeno, one.release) for one in sequences],
             )
         )
-        return {"in flight": ~(locked | chatter), "in chatter": chatter & ~locked, "locked": locked}
+        return {
+            "in flight": ~(locked | chatter),
+            "in chatter": chatter & ~locked,
+            "in contact": locked,
+        }
 
     def at(self, phases: Vector) -> Vector:
         """Return the signals at phases, ``(n, n_s)``.

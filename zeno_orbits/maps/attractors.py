@@ -21,7 +21,7 @@ class AttractorClass(Enum):
     NO_ZENO = NO_ZENO_ORBIT
     REST = "rest"
     HELD = "permanent contact"
-    ESCAPE = "a coordinate runs away"
+    ESCAPE = "a coordinate diverges"
     UNSETTLED = "not settled yet"
     FAILED = "simulation failed"
 
@@ -106,7 +106,7 @@ class Attractor:
         if self.fate is AttractorClass.HELD:
             return f"{self.fate.value}, {self.turns} turns" if self.turns > 1 else self.fate.value
         if self.fate is AttractorClass.ESCAPE:
-            return self.detail or f"{self.escaped} runs away"
+            return self.detail or f"{self.escaped} diverges"
         if self.fate is AttractorClass.UNSETTLED and self.kind in _IRREGULAR:
             return _IRREGULAR[self.kind]
         if self.fate is AttractorClass.UNSETTLED and not self.detail:

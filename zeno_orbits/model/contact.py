@@ -42,7 +42,7 @@ class ContactQuantities(NamedTuple):
         gap_rate: :math:`\dot h`.
         gap_acceleration: :math:`\ddot h` of the free flow.
         multiplier: :math:`\lambda`, which keeps :math:`\ddot h = 0` on the stop.
-        multiplier_rate: :math:`\dot\lambda` along the locked flow.
+        multiplier_rate: :math:`\dot\lambda` along the constrained flow.
     """
 
     gap: Any

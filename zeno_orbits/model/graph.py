@@ -6,8 +6,8 @@ flow of the mechanism with the closed stops as holonomic constraints, with the i
 .. math:: W_S = W - W J_S^\top (J_S W J_S^\top)^{-1} J_S W
 
 For every other stop `k` the pair ``(S, k)`` is a completed system with one stop: its free flow is
-the flow of `S`, its locked flow the flow of :math:`S \cup \{k\}`, its multiplier the multiplier of
-`k` in that mode. A graph of modes is made of these systems, theory (1.5)-(2.1).
+the flow of `S`, its constrained flow the flow of :math:`S \cup \{k\}`, its multiplier the
+multiplier of `k` in that mode. A graph of modes is made of these systems, theory (1.5)-(2.1).
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def hybrid_system(
     """
     if lagrangian.has_gap:
         if restitution is None:
-            raise ValueError("Argument `restitution` is missing: the third one of `hybrid_system`.")
+            raise ValueError("Argument `restitution` is missing: pass it to `hybrid_system`.")
         one = completed(lagrangian, drive, ca.SX(restitution))
         kinks = kinks_of(one.mechanism, one.drive, one.state)
         is_plain = not (one.drive.holds or one.drive.frictions)

@@ -1,4 +1,4 @@
-r"""Complete a mechanism and its drive: guard, reset map, multiplier, locked flow, Theorem 1.
+r"""Complete a mechanism and its drive: guard, reset map, multiplier, constrained flow, Theorem 1.
 
 Everything is an expression in the state ``x = (q, v, i)`` and the named parameters of the problem,
 gains and restitution among them. Source: [OrAmes2011]_, paper eqs (5)-(8), theory (1.5)-(2.4).
@@ -48,7 +48,7 @@ class CompletedSystem:
         gap_rate: :math:`\dot h`.
         gap_acceleration: :math:`\ddot h` of the free flow, the quantity of Theorem 1.
         multiplier: :math:`\lambda` that keeps :math:`\ddot h = 0` on the stop.
-        multiplier_rate: :math:`\dot\lambda` along the locked flow.
+        multiplier_rate: :math:`\dot\lambda` along the constrained flow.
         impulse_direction: :math:`W J^\top / (J W J^\top)` as a change of state, ``(n_x,)``. Its
             last entries are the changes of additional states in an impact.
         normal_inertia: :math:`1 / (J W J^\top)`, the effective inertia in an impact.

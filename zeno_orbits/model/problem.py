@@ -341,7 +341,7 @@ class Problem(Declared):
         return f"{self.energy_unit} s/{unit}" if unit != "1" else f"{self.energy_unit} s"
 
     def escaped(self, state: Sequence[float]) -> str:
-        """Return the name of a coordinate that has run away, or an empty text.
+        """Return the name of a coordinate that diverges, or an empty text.
 
         Args:
             state: A state, ``(n_x,)``.

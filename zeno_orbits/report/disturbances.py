@@ -88,19 +88,19 @@ def recovery_lines(found: Recovery) -> list[str]:
     """Return the time of the recovery and the ball as sentences."""
     part, wait = found.settings.part, counted(found.periods, "period")
     first = (
-        f"A small disturbance decays to {100 * part:g} % in {wait} ({found.time:.6g} s): factor "
-        f"{found.contraction:.4g} per period, spectral radius {found.spectral_radius:.4g}."
+        f"A small disturbance decays to {100 * part:g} % in {wait} ({found.time:.6g} s).",
+        f"Factor {found.contraction:.4g} per period, spectral radius {found.spectral_radius:.4g}.",
     )
     if not len(found.norm):
-        return [first, "The section of the orbit is a single point."]
+        return [*first, "The section of the orbit is a single point."]
     if found.radius == 0.0:
-        return [first, "The smallest ball fails the test."]
+        return [*first, "The smallest ball fails the test."]
     if found.radius == math.inf:
-        return [first, "All samples of every ball of the search return into it."]
+        return [*first, "All samples of every ball of the search return into it."]
     share = f"at most {100 * found.lost_share:.2g} % of the ball leaves it in a period"
     return [
-        first,
-        f"Ball whose samples return into it: radius {found.radius:.4g}.",
+        *first,
+        f"Ball whose samples return into it: radius {found.radius:.4g} (scaled, no unit).",
         f"{found.settings.samples} samples return: with confidence "
         f"{100 * found.settings.confidence:g} %, {share}.",
     ]

@@ -83,7 +83,7 @@ class AttractorKind(Enum):
     HELD = "stays in permanent contact"
     DIES_OUT = "decays"
     GROWS = "grows"
-    GONE = "runs away"
+    GONE = "diverges"
     UNDECIDED = "has not settled"
 
 

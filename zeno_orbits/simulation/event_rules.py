@@ -55,7 +55,7 @@ def stop_holds(
 
     Args:
         gap_acceleration: d2h/dt2 of the free flow. Contact persists if it is negative.
-        multiplier_rate: Rate of the contact force along the locked flow. It decides if `slack`.
+        multiplier_rate: Rate of the contact force along the constrained flow, used if `slack`.
         slack: Whether the contact force is zero up to rounding.
     """
     return (slack & (multiplier_rate > 0.0)) | ((slack ^ True) & (gap_acceleration < 0.0))
@@ -70,7 +70,7 @@ def closes_at_once(
 
     Args:
         gap_acceleration: `a`.
-        multiplier_rate: Rate of the multiplier along the locked flow.
+        multiplier_rate: Rate of the multiplier along the constrained flow.
         normal_inertia: ``1 / (J W J^T)``, multiplier over acceleration of the gap.
         largest: Largest coordinate.
     """

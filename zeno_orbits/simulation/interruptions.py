@@ -61,9 +61,7 @@ def runs_away(name: str, time: float, state: Vector) -> RunawayError:
         time: When [s].
         state: State there.
     """
-    return RunawayError(
-        f"{name} runs away", time=time, state=tuple(state.tolist()), coordinate=name
-    )
+    return RunawayError(f"{name} diverges", time=time, state=tuple(state.tolist()), coordinate=name)
 
 
 def grows_without_end(

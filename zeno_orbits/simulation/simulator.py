@@ -1,4 +1,4 @@
-"""Completed executions, event by event: flights, impacts, Zeno point, locked arc, release, again.
+"""Completed executions, event by event: flights, impacts, Zeno point, contact phase, release.
 
 A flight after an impact is integrated in the scaled variables of theory (2.6), so
 slow impacts are neither missed nor invented. Source: [OrAmes2011]_ for the completion.

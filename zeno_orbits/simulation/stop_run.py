@@ -140,7 +140,7 @@ class StopRun(ABC):
         return self.arcs[-1].end_time if self.arcs else 0.0
 
     def locked_arc(self, start: ArcStart) -> ArcStart | None:
-        """Follow the locked flow to the release, where the multiplier falls through zero."""
+        """Follow the constrained flow to the release, where the multiplier falls through zero."""
         slack = self._is_slack(start.state, self.dynamics.gap_acceleration(start.state))
         try:
             arc, _ = self.follow_arc(start, self.dynamics.locked, Ending.RELEASE, on_guard=slack)
@@ -399,7 +399,7 @@ class StopRun(ABC):
     def zeno_point(
         self, start: ArcStart, speed: float, sequence: ImpactSequence
     ) -> ArcStart | None:
-        """Return the start of the locked arc if the impacts so far determine the Zeno point."""
+        """Return the start of the contact phase if the impacts so far determine the Zeno point."""
         limit = self.limit_of(sequence.estimates)
         if limit is None or limit.time >= self.follower.until or not self.is_clear(limit):
             return None

@@ -137,7 +137,7 @@ class ExtendedRun:
         return _Start(mode=Mode.FREE, time=time, state=x, order=3)
 
     def _carry(self, start: _Start) -> _Start | None:
-        """Follow the locked flow to the release."""
+        """Follow the constrained flow to the release."""
         multiplier = self.system.contact(start.state).multiplier if start.order == 0 else arb(0)
         fell = self._arc(self.system.locked, start, [multiplier])
         if fell is None:

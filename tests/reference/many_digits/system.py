@@ -92,7 +92,7 @@ class ExtendedSystem:
         return [at.gap, at.gap_rate, at.multiplier, *_middles(self._holonomic(x)[0])]
 
     def resting(self, x: State) -> tuple[State, Real, State]:
-        """Return a state moved onto the stop, its d2h/dt2 and its locked flow."""
+        """Return a state moved onto the stop, its d2h/dt2 and its constrained flow."""
         state, (acceleration,), rate = map(_middles, self._resting(x))
         return state, acceleration, rate
 

@@ -36,7 +36,7 @@ def add_simulate(commands: Any) -> None:
         commands,
         "simulate",
         _run_simulate,
-        "simulate a completed execution: impacts, Zeno points, locked arcs and releases",
+        "simulate a completed execution: impacts, Zeno points, contact phases and releases",
         [
             "zeno-orbits simulate motor_pendulum --until 10",
             "zeno-orbits simulate motor_pendulum --start theta1=1.2 --start dtheta2=0.5",

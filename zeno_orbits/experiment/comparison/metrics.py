@@ -101,6 +101,6 @@ def contact_metrics(
     yield metric("restitution seen", "1", e, found.restitution.unsure(found.rebound_doubt))
     yield metric("end of chatter", "s", zeno, found.chatter_end.unsure(where.error))
     yield metric("chatter duration", "s", zeno - first, found.chatter)
-    yield metric("locked duration", "s", period - zeno, found.contact)
+    yield metric("contact duration", "s", period - zeno, found.contact)
     yield metric("release time", "s", period, found.release.unsure(where.error))
-    yield metric("gap while locked", unit, 0.0, found.level)
+    yield metric("gap in contact", unit, 0.0, found.level)

@@ -164,6 +164,6 @@ def _size(one: Metric, table: PeriodTable, signals: Sequence[str]) -> float:
         if one.name.endswith(f" of {name}"):
             values = table.nodes.values[:, k]
             return float(np.ptp(values) or np.max(np.abs(values)) or 1.0)
-    if one.name == "gap while locked":
+    if one.name == "gap in contact":
         return float(np.ptp(table.nodes.values[:, -1]))
     return max(abs(one.orbit), 1.0 if one.unit == "1" else 0.0)

@@ -23,9 +23,9 @@ from zeno_orbits.simulation import AttractorKind, Motion, SectionReturn, outcome
 from zeno_orbits.work import ByValue, Progress, silent
 
 _CLOSE = 0.02
-"""Part of the orbit's locked time below which a flight does not end a lock."""
+"""Part of the orbit's contact duration below which a flight does not end a lock."""
 _LONG = 0.1
-"""Part of the orbit's locked time from which on contacts, or one alone, are a lock."""
+"""Part of the orbit's contact duration from which on contacts, or one alone, are a lock."""
 _LIKE_PERIOD = 0.3
 """A cycle's period differs from the orbit's by less than this part of it."""
 _FLIGHT = 0.5
@@ -146,7 +146,7 @@ def settle_rig(
             # More time will not make them: the machine moves otherwise.
             break
     raise SimulationError(
-        f"The machine made {counted(len(found), 'cycle')} with a lock where "
+        f"The machine made {counted(len(found), 'cycle')} with a lasting contact, but "
         f"{wanted} were expected: it {_outcome(run, found, orbit, problem).value}",
         time=until,
         state=tuple(run.states[-1].tolist()),

@@ -209,7 +209,8 @@ def _starts(shooting: Shooting, z: Vector) -> Iterator[Vector]:
 def best_fit(shooting: Shooting, z: Vector, on_progress: Progress) -> StagedFit | None:
     """Return the best optimum of up to six starts, ``None`` if none can be simulated.
 
-    Two starts that agree are enough, and one whose residuals are as small as the noise of samples.
+    The search ends when two starts agree, or when the residuals are as small as the noise of the
+    samples.
 
     Args:
         shooting: The trials.

@@ -838,7 +838,7 @@ def _verdict(
         )
     if tests.ends:
         names = ", ".join(f"`{one}`" for one in tests.ends)
-        return f"structure is left: {names} reached an end of the range, and is not identified"
+        return f"structure is left: {names} reached a limit of the range: not identified"
     if mixed is not None and len(mixed.shooting.trials) > 1:
         return (
             f"no structure is left: one restitution with a scatter of "

@@ -53,7 +53,7 @@ class CompiledSystem:
         coefficient: ``(p, speed of an impact) -> restitution``, if it depends on the speed.
         rebound: ``(p, approach rate) -> gap rate after the impact``.
         reset: ``(x, p, approach rate) -> x after the impact``.
-        resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.
+        resting: ``(x, p) -> (x on the stop, its gap_acceleration, its constrained flow)``.
         powers: ``(x, p) -> (input_power, copper_loss, other_loss)`` [W].
         energy: ``(x, p) -> energy`` [J].
         holonomic: ``(x, p) -> (eta, eta_rate)``.

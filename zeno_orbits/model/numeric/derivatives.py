@@ -44,7 +44,7 @@ class DerivativeFormulas:
     Attributes:
         chosen: Indices of the parameters in ``p``.
         n_x: Number of states.
-        linear: Variational equations of the free and the locked mode and of a rescaled flight,
+        linear: Variational equations of the free and the constrained mode and of a rescaled flight,
             whose speed is an additional last parameter.
         contact: ``(x, p) -> (5, n_x + k)``, as `Differentials.contact`. The next four entries are
             analogous.
@@ -117,7 +117,7 @@ class Differentials(Protocol):
         ...
 
     def resting(self, x: Vector) -> Vector:
-        """Of the state moved onto the stop, its gap acceleration and its locked flow, as rows."""
+        """Of the state moved onto the stop, its gap acceleration and constrained flow, as rows."""
         ...
 
     @property

@@ -24,13 +24,13 @@ class DifferentiableFunctions:
     """Functions of a system that are differentiated, in ``(x, p)``.
 
     Attributes:
-        rates: ``dy/dt`` of the free and the locked mode and of a rescaled flight.
+        rates: ``dy/dt`` of the free and the constrained mode and of a rescaled flight.
         contact: ``(x, p) -> (gap, gap_rate, gap_acceleration, multiplier, multiplier_rate)``.
         holonomic: ``(x, p) -> (eta, eta_rate)``.
         impulse: Function whose third output holds the restitution of the slowest impacts first.
         rebound: ``(p, approach rate) -> gap rate after the impact``.
         reset: ``(x, p, approach rate) -> x after the impact``.
-        resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.
+        resting: ``(x, p) -> (x on the stop, its gap_acceleration, its constrained flow)``.
     """
 
     rates: tuple[ca.Function, ca.Function, ca.Function]
@@ -212,7 +212,7 @@ class BoundDifferentials:
         return self._speeds.copy()
 
     def resting(self, x: Vector) -> Vector:
-        """Of the state on the stop, its gap acceleration and locked flow, as rows."""
+        """Of the state on the stop, its gap acceleration and constrained flow, as rows."""
         return _matrix(self._resting(x), (2 * self.formulas.n_x + 1, self._n_columns))
 
     @property

@@ -117,7 +117,7 @@ class CompiledGraph:
         Args:
             mode: The mode.
             rest: The mode in which a stop is open.
-            stop: Index of the stop. Its locked flow is the flow of the mode, if the modes differ.
+            stop: Index of the stop. Its constrained flow is the flow of the mode if modes differ.
         """
         if mode not in self._powers:
             graph, one = self.graph, system_of_stop(self.graph, rest, stop)
@@ -464,7 +464,7 @@ class GraphDynamics:
         """Return the mode of a view with the formulas of a mode, and the stop of the view.
 
         An open stop leaves the mode as it is. If all stops are closed, it is the first one, which
-        is open in the mode that is returned. The locked flow of its view is the flow of the mode.
+        is open in the mode that is returned. The constrained flow of its view is the mode's flow.
 
         Args:
             mode: The mode.
@@ -484,7 +484,7 @@ class GraphDynamics:
         return view.free if rest == mode else view.locked
 
     def holding(self, mode: GraphMode, stop: int) -> HybridDynamics:
-        """Return the system of a closed stop, whose locked flow is the flow of the mode.
+        """Return the system of a closed stop, whose constrained flow is the flow of the mode.
 
         Args:
             mode: The mode.

@@ -77,7 +77,7 @@ class HybridDynamics:
         gap_rate: :math:`\dot h(x)`.
         gap_acceleration: :math:`\ddot h(x)` of the free flow.
         multiplier: :math:`\lambda(x)`.
-        multiplier_rate: :math:`\dot\lambda(x)` along the locked flow.
+        multiplier_rate: :math:`\dot\lambda(x)` along the constrained flow.
         reset_map: State after an impact, from the state before it and its gap rate.
         impulse_direction: :math:`W J^\top / (J W J^\top)` in the velocity entries, ``(n_x,)``.
         normal_inertia: :math:`1 / (J W J^\top)`.

@@ -13,7 +13,7 @@ class ContactProjection:
     Attributes:
         state: State with zero gap and gap rate, ``(n_x,)``.
         gap_acceleration: :math:`\ddot h` of the free flow at that state.
-        rate: :math:`\dot x` of the locked flow at that state, ``(n_x,)``.
+        rate: :math:`\dot x` of the constrained flow at that state, ``(n_x,)``.
     """
 
     state: Vector

@@ -47,7 +47,7 @@ class MarginKind(Enum):
     AMPLITUDE = "amplitude"
     FREQUENCY = "returns per second"
     STALL = "exponential of minus the time of a return over that of the nearest saddle"
-    LOCK = "locked time"
+    LOCK = "contact duration"
     ACCELERATION = "acceleration onto the stop at the Zeno point"
     FIRST_IMPACT = "speed of the first impact"
     NEAR_MISS = "least gap of an open stop"

@@ -81,7 +81,7 @@ class ProofExpressions:
         rate_place: Index of the gap rate in ``y``.
         coordinate: Coordinate that determines the gap, or None if the gap is an additional state.
         free: Free flow `f`, ``(N,)``.
-        locked: Locked flow :math:`f - \ddot h\, D`, with zero rows for gap and rate, ``(N,)``.
+        locked: Constrained flow :math:`f - \ddot h\, D`, with zero rows for gap and rate, ``(N,)``.
         pressure: Minus the gap acceleration of the free flow at states on the stop. Contact ends
             when it vanishes.
         direction: Impulse direction `D`, scaled to unit gap rate, ``(N,)``.
@@ -327,7 +327,7 @@ class _Form:
     resets: Sequence[ca.SX]
 
     def on_stop(self, zero: ca.SX) -> _Form:
-        """Return the formulas with locked flow and pressure, at a gap and a gap rate of zero."""
+        """Return the formulas with constrained flow and pressure, at zero gap and gap rate."""
         parts, places = self.parts, list(self.places)
         locked = parts["free"] - self.acceleration * parts["direction"]
         locked[places] = 0

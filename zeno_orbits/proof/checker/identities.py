@@ -235,8 +235,8 @@ def require_kept(graph: Graph, rows: Sequence[int], rates: Sequence[int]) -> Non
     """Check that the rate of each constraint row is zero or another row.
 
     Then all rows solve a linear equation, and stay zero along the free flow. The same holds along
-    the locked flow, which differs from the free flow by a multiple of the impulse direction. The
-    impulse does not change the rows.
+    the constrained flow, which differs from the free flow by a multiple of the impulse direction.
+    The impulse does not change the rows.
 
     Args:
         graph: The nodes are there.

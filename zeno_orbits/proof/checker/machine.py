@@ -98,7 +98,7 @@ class CertifiedMachine(NamedTuple):
 
 
 def read_sides(count: int, sides: Any) -> tuple[bool, ...]:
-    """Return the sides of kinks in a certificate, with a check of their number.
+    """Read the sides of the kinks in a certificate, and check their number.
 
     Args:
         count: Number of kinks.

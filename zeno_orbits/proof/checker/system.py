@@ -4,8 +4,8 @@ Only the free flow ``f``, the gap ``h(q)``, the impulse direction ``d``, the res
 the constraints are taken from the problem's formulas. The other quantities follow from the
 definition of a completed execution, with ``L`` for derivatives along a vector field. These are the
 gap rate ``L_f h``, its rate ``a = L_f L_f h``, and ``D = d / L_d L_f h``. An impact maps ``x`` to
-``x - (1 + e) (L_f h) D``, so that ``L_f h`` becomes ``-e L_f h`` (Newton's law). The locked flow is
-``f - a D``. Along it, ``h = L_f h = 0`` is invariant. The locked flow applies as long as
+``x - (1 + e) (L_f h) D``, so that ``L_f h`` becomes ``-e L_f h`` (Newton's law). The constrained
+flow is ``f - a D``. Along it, ``h = L_f h = 0`` is invariant. The constrained flow applies while
 ``a < 0``.
 
 The contact force is ``-a N`` with the inertia ``N = D_v' M D_v``, where ``D_v`` is the velocity
@@ -220,7 +220,7 @@ def bound_system(
 ) -> System:
     """Return the nodes of a problem at given parameter values.
 
-    If a stop ``i`` is held closed, the free flow is the locked flow of ``i``, and the direction is
+    If a stop ``i`` is held closed, the free flow is the constrained flow of ``i``. The direction is
     ``D - p D_i``, normalised, where ``p`` is the change of the gap rate of ``i`` along ``D``. So an
     impact changes the gap rate of ``i`` no more.
 
@@ -279,7 +279,7 @@ def bound_system(
     if view is not None:
         _require_positions(graph, x, n_q, nothing, direction, gaps)
     force = graph.put("neg", acceleration)
-    # If coordinates determine gap and gap rate, the locked flow keeps them constant.
+    # If coordinates determine gap and gap rate, the constrained flow keeps them constant.
     pinned = () if row is None else (row, n_q + row)
     locked = _combined(graph, nothing, force, direction)
     locked = [None if k in pinned else node for k, node in enumerate(locked)]

@@ -159,17 +159,17 @@ def story(
     count, points = len(execution.impacts), len(execution.zeno_points)
     if not points:
         return (
-            f"{said}{repeats} The moving part hits its stop and flies on, {count} times per period."
+            f"{said}{repeats} The moving part strikes its stop and rebounds {count} times per "
+            "period."
         )
     if _slow_restitution(orbit, execution) == 0.0:
         return (
-            f"{said}{repeats} The moving part hits its stop {count} times. Each impact takes all "
-            f"of its speed, and {points} times it stays on the stop for a while."
+            f"{said}{repeats} The moving part strikes its stop {count} times. Each impact stops "
+            f"the part, and {points} times the contact lasts for a while."
         )
     return (
-        f"{said}{repeats} The moving part hits its stop {count} times that could be followed one "
-        f"by one. {points} times infinitely many impacts accumulate, and it stays on the stop "
-        "for a while."
+        f"{said}{repeats} The simulation resolves {count} impacts of the moving part on its stop. "
+        f"{points} times infinitely many impacts accumulate, and the contact lasts for a while."
     )
 
 
@@ -204,18 +204,18 @@ def _slow_restitution(orbit: Orbit, execution: Execution) -> float:
 def _one_zeno_point(orbit: Orbit, execution: Execution) -> str:
     e, first = _slow_restitution(orbit, execution), orbit.impacts[0].time
     zeno = execution.zeno_points[0].time
-    flight = f"The moving part leaves its stop, flies for {first:.4g} s and hits it."
+    flight = f"The moving part leaves its stop and strikes it again after {first:.4g} s."
     if e > 0.0:
         hits = (
-            f"It bounces and hits again and again, in the end each time {1 / e:.3g} times slower: "
-            f"infinitely many impacts fit into {zeno - first:.4g} s. The moment at which they "
-            "have all happened is the Zeno point."
+            f"It bounces. In the end each impact is {1 / e:.3g} times slower than the impact before "
+            f"it, and infinitely many impacts occur within {zeno - first:.4g} s. They accumulate "
+            "at the Zeno point."
         )
     else:
-        hits = "That one impact takes all of its speed: the Zeno point is there at once."
+        hits = "This one impact stops the part: it is the Zeno point."
     rest = (
-        f"Then the part stays on the stop for {orbit.period - zeno:.4g} s and is carried along, "
-        "until it is released and the cycle repeats."
+        f"Then the part stays in contact for {orbit.period - zeno:.4g} s. After the release, the "
+        "cycle repeats."
     )
     return f"{flight} {hits} {rest}"
 

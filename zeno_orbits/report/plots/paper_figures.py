@@ -67,7 +67,7 @@ def mechanism_files(material: Material) -> dict[str, bytes]:
 
 
 def region_files(material: Material) -> dict[str, bytes]:
-    """Return the region of Theorem 1, the orbit's locked arc on it."""
+    """Return the region of Theorem 1, the orbit's contact phase in it."""
     problem, dynamics = material.problem, _one_stop(material)
     return _files({"region": plot_zeno_set(problem, dynamics, material.one, width=COLUMN_WIDTH)})
 

@@ -36,7 +36,7 @@ TINTS = {Mode.FREE: "#E3F0F8", Mode.LOCKED: "#F9DBC6"}
 BLUES = LinearSegmentedColormap.from_list("depth", ["#3C8DC0", "#E6F2F9"])
 ARCS: dict[Mode, dict[str, Any]] = {
     Mode.FREE: {"color": "#0072B2", "lw": 1.2, "label": "free arc"},
-    Mode.LOCKED: {"color": "#D55E00", "lw": 2.4, "label": "locked arc", "zorder": 2.5},
+    Mode.LOCKED: {"color": "#D55E00", "lw": 2.4, "label": "contact phase", "zorder": 2.5},
 }
 TAIL: dict[str, Any] = ARCS[Mode.FREE] | {"ls": ":", "label": "Zeno tail, summed"}
 LOOKS = {mode.value: look for mode, look in ARCS.items()} | {"tail": TAIL}

@@ -28,7 +28,7 @@ _FREE = ARCS[Mode.FREE] | {"lw": 2.0, "color": "#56B4E9", "label": "Zeno model, 
 _MODEL: dict[str, dict[str, Any]] = {
     "free": _FREE,
     "tail": _FREE,
-    "locked": ARCS[Mode.LOCKED] | {"lw": 3.2, "label": "Zeno model, locked"},
+    "locked": ARCS[Mode.LOCKED] | {"lw": 3.2, "label": "Zeno model, contact"},
 }
 """A wide line, so that the other motion is visible on top. Shade and width differ in grey as
 well."""
@@ -55,7 +55,7 @@ class TwoMotions:
 
 
 def plot_beside_over_time(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Figure:
-    """Return the coordinates of both motions over time, the model's locked phases shaded."""
+    """Return the coordinates of both motions over time, the model's contact phases shaded."""
     panels = _coordinates(two, width)
     for row, ax in enumerate(panels):
         for path in drawn_paths(two.model):
@@ -154,11 +154,11 @@ def plot_beside_zeno_point(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> F
 
 
 def _coordinates(two: TwoMotions, width: float, unit: float = 1.0) -> Panels:
-    """Return one panel per coordinate over time in some unit, the model's locked phases shaded."""
+    """Return one panel per coordinate over time in some unit, the model's contact phases shaded."""
     panels = panels_of(width, two.dynamics.n_q, height=1.15, columns=1)
     for row, ax in enumerate(panels):
         for phase in drawn_phases_of(two.model):
-            word = "locked phase" if phase.mode is Mode.LOCKED else None
+            word = "contact phase" if phase.mode is Mode.LOCKED else None
             look: dict[str, Any] = {"color": TINTS[phase.mode], "lw": 0, "gid": phase.mode.value}
             ax.axvspan(phase.start / unit, phase.end / unit, label=word, **look)
         ax.set(ylabel=label_of(two.problem, row))

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
 
-_FILE_WIDTH = 100
-"""Width of output to a file. No cell of our tables is split at a hundred columns."""
+_FILE_WIDTH = 80
+"""Width of tables in a file [characters]."""
 _GAP = 2
 """Columns of space between the columns of a table."""
 
@@ -77,32 +77,51 @@ def plain_console(width: int | None = None) -> Console:
     return Plain(highlight=False, markup=False, width=width or line_width())
 
 
-def print_table(columns: Sequence[TableColumn[Item]], items: Iterable[Item]) -> None:
+def print_table(
+    columns: Sequence[TableColumn[Item]], items: Iterable[Item], repeated: int = 1
+) -> None:
     """Print a table with one row per item, followed by an empty line.
 
     Words of text may go to the next line. No word, number or name is ever cut: a table that is too
-    wide for the terminal even so is printed wider than it.
+    wide for the terminal even so is printed in parts.
 
     Args:
         columns: Its columns.
         items: The items, in order.
+        repeated: Number of first columns that each part of a wide table contains.
     """
-    from rich.table import Table
-
     columns = [replace(column, heading=printable(column.heading)) for column in columns]
     rows = [[_printable(column.cell(item)) for column in columns] for item in items]
     cells = [[row[k] for row in rows] for k in range(len(columns))]
-    console = plain_console()
-    widths = _widths(columns, cells, console.width)
+    widths = _widths(columns, cells, line_width())
+    for part in _parts(widths, line_width(), repeated):
+        _print_part([(columns[k], widths[k], cells[k]) for k in part])
+
+
+def _parts(widths: Sequence[int], room: int, repeated: int) -> list[list[int]]:
+    """Return the indices of the columns of each part of a table."""
+    first = list(range(min(repeated, len(widths))))
+    parts = [first]
+    for k in range(len(first), len(widths)):
+        other = [*parts[-1], k]
+        if len(parts[-1]) > len(first) and sum(widths[i] + _GAP for i in other) - _GAP > room:
+            parts.append([*first, k])
+        else:
+            parts[-1] = other
+    return parts
+
+
+def _print_part(shown: Sequence[tuple[TableColumn[Item], int, Sequence[Cell]]]) -> None:
+    """Print columns with their widths and cells, and an empty line."""
+    from rich.table import Table
+
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for column, width in zip(columns, widths, strict=True):
+    for column, width, _ in shown:
         side = "right" if column.is_number else "left"
         table.add_column(column.heading, width=width, overflow="fold", justify=side)
-    for row in rows:
+    for row in zip(*(cells for _, _, cells in shown), strict=True):
         table.add_row(*map(_shown, row))
-    whole = sum(widths) + _GAP * len(widths)
-    if console.width < whole:
-        console = plain_console(whole)
+    console = plain_console(max(line_width(), sum(width + _GAP for _, width, _ in shown)))
     console.print(table)
     console.print()
 

@@ -224,7 +224,7 @@ def print_description(found: RecordingDescription) -> None:
     print_table(columns, found.columns)
     troubles = [one.trouble for one in found.columns if one.trouble and not one.holds_text]
     remarks = () if recording is None else recording.remarks
-    print_lines(f"Note: {remark}." for remark in (*troubles, *remarks))
+    print_lines(f"Note: {remark}." for remark in dict.fromkeys((*troubles, *remarks)))
 
 
 def print_comparison(found: Comparison) -> None:

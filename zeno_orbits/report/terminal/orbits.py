@@ -21,7 +21,7 @@ from zeno_orbits.report.table import (
     text_column,
     with_unit,
 )
-from zeno_orbits.report.terminal.console import line_width, print_lines, print_table
+from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
     from zeno_orbits.arrays import Vector
@@ -35,8 +35,6 @@ _MOST_EVENTS = 40
 """Events of an execution that are printed."""
 _MOST_STATES = 3
 """States of an event that are printed: as many as 80 columns hold."""
-_BEFORE_STATES, _STATE = 45, 11
-"""Width of the columns before the states, and of one of a state: others go into another table."""
 _ROUGH = 1e-3
 """Estimated relative error from which the order of events is in doubt."""
 _STILL = 1e-9
@@ -86,14 +84,11 @@ def print_execution(
         number_column("dh/dt", lambda event: _unless_skipped(event, _approach_rate)),
     ]
     sizes = _sizes_of(execution)
-    across = max((line_width() - _BEFORE_STATES) // _STATE, 1)
     lines = list(events) if all_events else _one_line_per_sequence(events)
-    for k in range(0, max(len(moving), 1), across):
-        states = [
-            _state_column(name, names.index(name), float(sizes[names.index(name)]))
-            for name in moving[k : k + across]
-        ]
-        print_table([*columns, *states], lines[:_MOST_EVENTS])
+    states = [
+        _state_column(name, names.index(name), float(sizes[names.index(name)])) for name in moving
+    ]
+    print_table([*columns, *states], lines[:_MOST_EVENTS], repeated=len(columns))
     if len(lines) > _MOST_EVENTS:
         print_lines([f"... and {len(lines) - _MOST_EVENTS} more events. --json lists all events."])
     if len(lines) < len(events):
@@ -112,7 +107,7 @@ def print_execution(
         ),
     )
     closed = execution.arcs[-1].closed
-    last = f"locked at {', '.join(closed)}" if closed else execution.arcs[-1].mode.value
+    last = f"contact at {', '.join(closed)}" if closed else execution.arcs[-1].mode.value
     print_lines([f"{', '.join(counts)} in {execution.end_time:g} s. The last arc is {last}."])
 
 

@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import counted
@@ -248,8 +249,7 @@ def print_stability(found: Stability) -> None:
 def _print_return_map(found: Stability) -> None:
     """Print the derivative of the return map in the coordinates of its section."""
     side = "before" if found.event.startswith("switch") else "after"
-    where = f"Return map DP of the states just {side} `{found.event}`"
-    print_lines([f"{where}: change after a period, per change before"])
+    print_lines([f"Derivative DP of the return map, states just {side} `{found.event}`:"])
 
     def heading(k: int) -> str:
         name = found.coordinates[k]
@@ -260,8 +260,7 @@ def _print_return_map(found: Stability) -> None:
 
     rows = range(len(found.coordinates))
     print_table([name_column("", heading), *map(number, rows)], rows)
-    norm = "largest row sum, coordinates relative to their largest values"
-    print_lines([f"Norm of DP ({norm}): {found.norm:.4g}"])
+    print_lines([f"Norm of DP (largest row sum, in scaled coordinates): {found.norm:.4g}"])
 
 
 def print_feedback(found: Feedback, extents: Mapping[str, tuple[float, float]]) -> None:
@@ -417,19 +416,15 @@ def recovery_words(found: Stability) -> list[str]:
         return [f"Every small disturbance vanishes within {wait}, to rounding."]
     if slow is not None:
         which = "Fastest growth" if found.unstable else "Slowest direction"
-        lines.append(f"{which}: {slow.words}")
+        lines += wrap(f"{which}: {slow.words}", 80, subsequent_indent="  ")
         if math.isfinite(slow.periods_per_turn):
             turn = f"{slow.periods_per_turn:.4g}"
             lines.append(f"The disturbance turns once in {turn} periods.")
-    times = [
-        f"{name} in {periods:.4g} periods ({periods * found.period:.4g} s)"
-        for name, periods in found.milestones.items()
-    ]
-    if found.stable:
-        lines.append(f"A small disturbance decays to {', to '.join(times)}.")
-    elif found.unstable:
-        lines.append(f"A small disturbance grows to {', '.join(times)}.")
-    else:
+    for name, periods in found.milestones.items():
+        time = f"{periods:.4g} periods ({periods * found.period:.4g} s)"
+        change = f"decays to {name}" if found.stable else f"grows to {name} its size"
+        lines.append(f"A small disturbance {change} in {time}.")
+    if not (found.stable or found.unstable):
         lines.append("The errors of the multipliers leave open whether a disturbance decays.")
     if not found.closes:
         lines.append(

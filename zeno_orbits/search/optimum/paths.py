@@ -42,7 +42,7 @@ TO_VALUES = StepControl(first=0.25, shortest=1e-4)
 
 _LOST = {
     MarginKind.AMPLITUDE: "the amplitude is zero",
-    MarginKind.LOCK: "the locked arc before {} vanishes",
+    MarginKind.LOCK: "the contact phase before {} vanishes",
     MarginKind.FIRST_IMPACT: "the first impact of {} grazes",
     MarginKind.LATER_IMPACT: "a later impact of {} grazes",
     MarginKind.RELEASE_RATE: "{} is not transversal",

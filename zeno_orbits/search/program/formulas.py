@@ -62,7 +62,7 @@ class MachineFormulas:
         return self._elements[key]
 
     def system(self, mode: GraphMode) -> tuple[CompiledSystem, bool]:
-        """Return a system with the formulas of a mode, and whether the mode is its locked flow.
+        """Return a system with the formulas of a mode, and if the mode is its constrained flow.
 
         Args:
             mode: The mode.

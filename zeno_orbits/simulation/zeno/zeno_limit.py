@@ -1,7 +1,7 @@
 r"""The end of an impact sequence in closed form: tail, limit and its error, without a model.
 
 Near a Zeno point the impact speeds decrease by the factor :math:`e`, and the impact states lie on
-an analytic curve in the speed :math:`w` (theory (2.7)). The locked flow first propagates each
+an analytic curve in the speed :math:`w` (theory (2.7)). The constrained flow first propagates each
 impact state to the end of its own tail, with an error of :math:`O(w^2)`. The limit is then the
 value at :math:`w = 0` of a polynomial without linear term through the last few results.
 
