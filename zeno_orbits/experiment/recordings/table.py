@@ -174,9 +174,7 @@ class _Reader:
             if _CLOCK.search(text):
                 raise DataFileError(self.path, f"{message}: write seconds since the start")
             if number_of(text.replace(".", "").replace(",", "")) is not None:
-                raise DataFileError(
-                    self.path, f"{message}: write it without thousands separators"
-                )
+                raise DataFileError(self.path, f"{message}: write it without thousands separators")
             raise DataFileError(self.path, f"{message}: correct or empty it")
         return number
 

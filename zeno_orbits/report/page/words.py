@@ -207,8 +207,8 @@ def _one_zeno_point(orbit: Orbit, execution: Execution) -> str:
     flight = f"The moving part leaves its stop and strikes it again after {first:.4g} s."
     if e > 0.0:
         hits = (
-            f"It bounces. In the end each impact is {1 / e:.3g} times slower than the impact before "
-            f"it, and infinitely many impacts occur within {zeno - first:.4g} s. They accumulate "
+            f"It bounces. In the end each impact is {1 / e:.3g} times slower than the one before, "
+            f"and infinitely many impacts occur within {zeno - first:.4g} s. They accumulate "
             "at the Zeno point."
         )
     else:
