@@ -144,6 +144,10 @@ REFUSED: Mapping[str, tuple[tuple[str, ...], str]] = {
         ("simulate", "motor_pendulum", "--set", "Kp=2", "Kd=-1"),
         "Unrecognized arguments: Kd=-1. Give every value with its own option: --set Kd=-1.",
     ),
+    "option that sets gains": (
+        (*SEARCH, "--gains", "Kp=2"),
+        "--gains: unknown option. Did you mean `--set`?",
+    ),
     "section of one stop": (
         (*SEARCH, "--section", "release"),
         "must be an event of the motion (impact stop, release stop, zeno stop), "

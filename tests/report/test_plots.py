@@ -291,7 +291,8 @@ def test_portraits_show_each_arc_over_the_states_that_their_axes_name(orbit: Sho
         for line, arc in zip(lines, arcs, strict=True):
             ends = points(line)[[0, -1]]
             assert ends.tolist() == [arc.start_state[pair].tolist(), arc.end_state[pair].tolist()]
-            assert line.get_label() == f"{arc.mode.value} arc"
+            expected = {Mode.FREE: "free arc", Mode.LOCKED: "contact phase"}[arc.mode]
+            assert line.get_label() == expected
 
 
 def test_arrows_in_a_portrait_point_the_way_the_motion_goes(orbit: Shown) -> None:

@@ -62,7 +62,7 @@ class Parser(argparse.ArgumentParser):
             near = did_you_mean(rest[0].partition("=")[0], self._option_strings())
             if "--set" in self._option_strings() and re.match(r"\w+=", rest[0]):
                 near = f" Give every value with its own option: --set {rest[0]}."
-            self.error(f"unrecognized arguments: {' '.join(rest)}.{near}")
+            self.error(f"unrecognized arguments: {' '.join(rest)}.{near or ' Remove them.'}")
         return found, rest
 
     def _option_strings(self) -> list[str]:
