@@ -58,7 +58,7 @@ FORMER: Mapping[str, tuple[str, ...]] = {
     "--free": ("--vary",),
     "--from": ("--near", "--t-start"),
     "--gain": ("--vary", "--set"),
-    "--gains": ("--set", "--vary"),
+    "--gains": ("--set",),
     "--in": ("--parameter",),
     "--initial": ("--start",),
     "--keep": ("--bounds",),
