@@ -78,7 +78,7 @@ def test_signals_of_a_problem_are_known(track: Path) -> None:
         (("--unit", "z=m"), "--unit z=m: unknown name `z`"),
         (("--zero", "y=low"), "have a number for `y`"),
         (("--frame-rate", "0"), "--frame-rate 0: must be a positive number"),
-        (("--frame-rate", "200", "-o", "drop.csv"), "there is nothing to write"),
+        (("--frame-rate", "200", "-o", "drop.csv"), "needs a recording, and the file is none"),
         (("--unit", "y=m", "--unit", "y=mm"), "must name `y` once"),
         (("--problem", "none.py"), "none.py"),
         (("-o", "drop.json"), "must name a table of samples"),

@@ -120,7 +120,7 @@ EXTRA = {"extra": {"CC": f"{sys.executable} -m ziglang cc"}, "own": {"CC": ""}}
         ("echo 'fatal error: I am broken' >&2; exit 1", "fatal error: I am broken"),
         ("exit 0", "exit code 0"),
         ('while [ "$1" != -o ]; do shift; done; echo nonsense > "$2"', "cannot be loaded"),
-        ('exec cc -Dsin=cos "$@"', "computes sines wrong"),
+        ('exec cc -Dsin=cos "$@"', "gives wrong values for sines"),
         ("kill -9 $$", "exit code -9"),
         ('ulimit -f 1; exec cc "$@"', "failed"),
     ],

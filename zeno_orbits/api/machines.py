@@ -456,7 +456,7 @@ def compare_transient(
 ) -> TransientComparison:
     """Return transients compared with the motion of a problem, impact by impact.
 
-    Only the initial values are fitted, and errors of instruments that are named. The result tests
+    The fit has the initial values and the named instrument errors only. The result tests
     whether the residuals have structure.
 
     Args:

@@ -203,7 +203,7 @@ _Values = tuple[float, ...]
 
 @lru_cache(maxsize=2)
 def _graph_of(compiled: CompiledGraph, values: _Values, thread: int) -> GraphDynamics:
-    """Return the machine at some values. Two threads must not share its memory."""
+    """Return the machine at some values. Its memory belongs to one thread."""
     del thread
     return GraphDynamics(compiled, values)
 
@@ -212,7 +212,7 @@ def _graph_of(compiled: CompiledGraph, values: _Values, thread: int) -> GraphDyn
 def _graph_at(
     compiled: CompiledGraph, start: _Values, values: _Values, thread: int
 ) -> GraphDynamics:
-    """Return the machine at some values, which a return and its section share in one thread.
+    """Return the machine at some values. A return and its section in one thread share it.
 
     It has the scales of the start of its family, on which all returns depend alike.
 

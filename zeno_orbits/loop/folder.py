@@ -116,7 +116,7 @@ class LibraryFolder:
 
     @property
     def lock(self) -> Path:
-        """The file that whoever compiles here holds."""
+        """Lock file of the process that compiles in this folder."""
         return self.path / ".loop-lock"
 
     def libraries(self) -> list[Path]:

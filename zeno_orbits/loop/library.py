@@ -258,4 +258,4 @@ def _require_exact(path: Path) -> None:
     except (OSError, AttributeError) as error:
         raise KernelError(f"the compiled library cannot be loaded ({error})") from error
     if fault:
-        raise KernelError(f"the compiled library computes {_FAULTS[fault - 1]} wrong")
+        raise KernelError(f"the compiled library gives wrong values for {_FAULTS[fault - 1]}")

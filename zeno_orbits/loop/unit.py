@@ -73,8 +73,8 @@ class ExportedUnit:
         tunable: Names that may change between steps.
         inputs: Names of gains or parameters that are inputs.
         ranges: Range of a parameter, by name. Other values are refused.
-        derived: Names of the derived parameters that depend on a parameter, by its name. Whoever
-            sets the parameter has to set them as well.
+        derived: Names of the derived parameters that depend on a parameter, by its name. A
+            change of the parameter must change them as well.
         clock: Indices of the cosine and sine of the clock in the state, or nothing.
         generator: Program and version that created the unit.
     """
@@ -349,7 +349,7 @@ def _attributes(
     found = {"name": name, "valueReference": str(reference)}
     words = [unit.meanings[name]] if unit.meanings.get(name) else []
     if unit.derived.get(name):
-        words.append(f"whoever sets it must also set {', '.join(unit.derived[name])}")
+        words.append(f"a change of it must also set {', '.join(unit.derived[name])}")
     if words:
         found["description"] = "; ".join(words)
     found.update(kind)

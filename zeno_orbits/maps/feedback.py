@@ -230,7 +230,7 @@ class Feedback(TableRepr):
         if known.n_events != 1:
             raise InputError(
                 f"Argument `section`: `{known.event}` occurs {known.n_events} times in a period, "
-                "and the law is that of one of them. Take the section of another event "
+                "and the law applies to one of them. Take the section of another event "
                 "(`section` (--section))."
             )
         if known.is_kink:

@@ -43,7 +43,7 @@ def add_completion(commands: Any) -> None:
             'eval "$(zeno-orbits completion bash)"',
         ],
     )
-    parser.add_argument("shell", choices=tuple(_SHELLS), help="the shell")
+    parser.add_argument("shell", choices=tuple(_SHELLS), help="shell that reads the script")
 
 
 def _run_completion(options: argparse.Namespace) -> int:

@@ -117,7 +117,8 @@ def _run_read(options: argparse.Namespace) -> int:
     )
     if options.output is not None:
         if found.recording is None:
-            raise InputError(f"Argument `output`: there is nothing to write: {found.trouble}.")
+            reason = f"needs a recording, and the file is none: {found.trouble}"
+            raise InputError(f"Argument `output` {reason}.")
         part = api.crop(found.recording, options.t_start, options.t_end)
         zo.write_recording(part, options.output)
     words = second and api.clock_words(found, second)

@@ -71,8 +71,8 @@ def with_course(
         returns: The return map.
         metric: Units.
         point: The point.
-        step: Distance of its neighbour in scaled arclength. It is positive if the neighbour lies
-            against the tangent. The displaced return is taken on the side of the neighbour.
+        step: Distance of its neighbour in scaled arclength. It is positive if the neighbour points
+            opposite to the tangent. The displaced return is taken on the side of the neighbour.
 
     Raises:
         ZenoOrbitsError: If a displaced state does not return.

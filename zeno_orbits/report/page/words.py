@@ -126,7 +126,7 @@ def cautions(problem: Problem, execution: Execution | None) -> list[str]:
         if unit == "rad" and max(-low, high) > math.pi:
             found.append(
                 f"{name} runs from {low:.4g} to {high:.4g} rad, beyond half a turn. Angles are "
-                "counted on and never wrapped: is the mechanism free to turn so far?"
+                "not wrapped to one turn. Check that the mechanism can turn so far."
             )
     return found
 

@@ -363,7 +363,7 @@ class OrbitsOverValues:
             if _returns(settled, section) != _returns(near, section):
                 # Another orbit would be followed from here on.
                 raise SimulationError(
-                    "The orbit is lost, and the motion settles to another one",
+                    "The orbit is lost: the motion converges to another attractor",
                     time=settled.period,
                     state=tuple(settled.start.tolist()),
                 ) from None

@@ -115,7 +115,7 @@ class ProgramOrbit:
     """The orbit of a program.
 
     Attributes:
-        values: Its values.
+        values: Values of its decision variables.
         found: The orbit, closed by simulation.
         corners: The orbits at the corners of uncertain parameters.
         miss: Largest relative distance of the program's starts and periods from these orbits.

@@ -110,13 +110,13 @@ class Sum:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mark:
-    """A place in a leg: the weights of the states of an interval, its start included.
+    """Point of a leg, as a weighted sum of the states of an interval and of its start.
 
     Attributes:
         places: The leg.
         columns: Places of the states, ``(n_x, m)``.
         weights: Their weights, ``(m,)``.
-        fraction: The place as a fraction of the leg.
+        fraction: The point as a fraction of the leg.
     """
 
     places: LegPlaces

@@ -60,7 +60,7 @@ class EventDerivatives:
         self.at(*self.graph.some_stop(self.graph.open_mode))
 
     def at_start(self) -> SaltationDerivative:
-        """Return the derivatives of a start that moves by itself."""
+        """Return the derivatives of a start whose state is independent."""
         n_x = len(self.graph.state_names)
         state = np.eye(n_x, n_x + len(self.chosen))
         zero = np.zeros(state.shape[1])
@@ -76,7 +76,7 @@ class EventDerivatives:
 
         Args:
             execution: The execution. Its impacts must be resolved one by one.
-            start: Derivatives of the start of the first arc. By default it moves by itself.
+            start: Derivatives of the start of the first arc. By default, its state is independent.
             first: Index of the arc that counts as the first.
 
         Raises:
