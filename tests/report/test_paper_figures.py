@@ -483,7 +483,7 @@ def _holed(recording: Recording) -> Recording:
         (lambda x: replace(x, signals=x.signals[:1]), "but `theta2` is missing"),
         (lambda x: crop_recording(x, None, 3.0), "must last two periods, 3.627 s, at least"),
         (_holed, "no signal of it has a number"),
-        (_noisy, "Argument `data` must show such an orbit, but"),
+        (_noisy, "Argument `data` must show an orbit of the problem, but"),
         (_turned, "but `theta1` looks like its sign reversed"),
         (lambda x: replace(x, time=1e3 * x.time), "seconds, correct its unit. See `compare`"),
     ],

@@ -35,7 +35,7 @@ class FileKind:
             draws: True if another option of the command draws a picture.
 
         Raises:
-            InputError: If the ending is one of another kind.
+            InputError: If the ending belongs to another kind of file.
         """
         ending = path.suffix.lower()
         if ending in self.endings or not (self.only or ending in _ENDINGS):

@@ -35,7 +35,7 @@ def unwatched(_steps: int, _time: float, _state: Vector) -> None:
     Args:
         _steps: Steps since the last call.
         _time: Time reached, in the flow's unit.
-        _state: State there, ``(n_y,)``.
+        _state: State at that time, ``(n_y,)``.
     """
 
 

@@ -54,7 +54,7 @@ class Accumulations:
         Such impacts become ever more frequent at stops at rest.
 
         Args:
-            time: When [s].
+            time: Time of the event [s].
             stop: Name of the stop.
             at_rest: Whether all stops with these names have zero gap and gap rate there, to the
                 accuracy of a flight.
@@ -69,7 +69,7 @@ class Accumulations:
         """Record an event of a declared switch, unless such events accumulate.
 
         Args:
-            time: When [s].
+            time: Time of the event [s].
             name: Name of the switch.
             x: State after it, ``(n_x,)``.
             scale: The problem's time [s].
@@ -134,7 +134,7 @@ class Accumulations:
         """Return the error of impacts that accumulate on several stops in turn.
 
         Args:
-            time: When [s].
+            time: Time of the event [s].
             x: State there, ``(n_x,)``.
         """
         names = [name for _, name in self.impacts]

@@ -81,7 +81,7 @@ class _Look:
 
     Attributes:
         steps: Steps so far.
-        time: When [s].
+        time: Time of the event [s].
         speed: Largest velocity since the look before.
     """
 

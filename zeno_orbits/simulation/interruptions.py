@@ -25,7 +25,7 @@ def flow_ends(error: StepSizeError, graph: GraphDynamics, time: float, kink: str
     Args:
         error: The error of the integrator.
         graph: The machine.
-        time: When [s].
+        time: Time of the event [s].
         kink: The kink whose condition is zero there, or an empty text.
     """
     reason = error.reason
@@ -42,8 +42,8 @@ def too_many_steps(most: int, time: float, state: Vector) -> SimulationError:
 
     Args:
         most: Steps that it may take.
-        time: When [s].
-        state: State there.
+        time: Time of the event [s].
+        state: State at that time.
     """
     return StepLimitError(
         f"The execution needs more than {counted(most, 'step')}: "
@@ -58,8 +58,8 @@ def runs_away(name: str, time: float, state: Vector) -> RunawayError:
 
     Args:
         name: The coordinate.
-        time: When [s].
-        state: State there.
+        time: Time of the event [s].
+        state: State at that time.
     """
     return RunawayError(f"{name} diverges", time=time, state=tuple(state.tolist()), coordinate=name)
 
@@ -73,8 +73,8 @@ def grows_without_end(
         name: The velocity.
         steps: Steps whose pace was taken.
         needed: Steps that the rest of the time would take.
-        time: When [s].
-        state: State there.
+        time: Time of the event [s].
+        state: State at that time.
     """
     return RunawayError(
         f"{name} grows without bound: at the pace of its last {steps} steps, "
@@ -88,8 +88,8 @@ def leaves_set(time: float, state: Vector) -> PenetrationError:
     """Return the error of a state that leaves the admissible set.
 
     Args:
-        time: When [s].
-        state: State there, ``(n_x,)``.
+        time: Time of the event [s].
+        state: State at that time, ``(n_x,)``.
     """
     return PenetrationError(
         "The state leaves the admissible set from its boundary",
@@ -103,7 +103,7 @@ def does_not_close(approach_rate: float, time: float, state: Vector) -> Simulati
 
     Args:
         approach_rate: Gap rate before it.
-        time: When [s].
+        time: Time of the event [s].
         state: State before it, ``(n_x,)``.
     """
     return SimulationError(
@@ -122,7 +122,7 @@ def restitution_beyond(
         speed: Gap rate after the impact.
         approach_rate: Gap rate before it.
         stop: Name of the stop.
-        time: When [s].
+        time: Time of the event [s].
         state: State before it, ``(n_x,)``.
     """
     at = f" of the stop `{stop}`" if stop else ""
@@ -138,7 +138,7 @@ def enters_by_reset(time: float, state: Vector) -> PenetrationError:
     """Return the error of a reset map that sends the state into the stop.
 
     Args:
-        time: When [s].
+        time: Time of the event [s].
         state: State before the impact, ``(n_x,)``.
     """
     return PenetrationError(
@@ -151,8 +151,8 @@ def does_not_accumulate(most: int, time: float, state: Vector) -> ChatterError:
 
     Args:
         most: Impacts that a sequence may have.
-        time: When [s].
-        state: State there, ``(n_x,)``.
+        time: Time of the event [s].
+        state: State at that time, ``(n_x,)``.
     """
     return ChatterError(
         f"More than {most} impacts came without a Zeno point (elastic impacts lack one): "
@@ -168,8 +168,8 @@ def switches_too_often(switch: str, most: int, time: float, state: Vector) -> Ch
     Args:
         switch: Name of the last one.
         most: Switches that an execution may have.
-        time: When [s].
-        state: State there, ``(n_x,)``.
+        time: Time of the event [s].
+        state: State at that time, ``(n_x,)``.
     """
     return ChatterError(
         f"More than {most} switches occurred, the last one is `{switch}`: raise `most_impacts` "
@@ -185,8 +185,8 @@ def coincide(first: str, second: str, time: float, state: Vector) -> Simultaneou
     Args:
         first: Name of one event.
         second: Name of the other event.
-        time: When [s].
-        state: State there, ``(n_x,)``.
+        time: Time of the event [s].
+        state: State at that time, ``(n_x,)``.
     """
     return SimultaneousEventsError(
         f"Two events coincide to rounding: {first} and {second}",
@@ -201,8 +201,8 @@ def accumulate_together(stop: str, other: str, time: float, state: Vector) -> Si
     Args:
         stop: Name of the stop.
         other: The other event, as a clause.
-        time: When [s].
-        state: State there, ``(n_x,)``.
+        time: Time of the event [s].
+        state: State at that time, ``(n_x,)``.
     """
     return SimultaneousEventsError(
         f"Impacts accumulate on the stop `{stop}`, and {other} in between",
@@ -216,8 +216,8 @@ def switches_accumulate(switch: str, time: float, state: Vector) -> ChatterError
 
     Args:
         switch: Name of the switch.
-        time: When [s].
-        state: State there, ``(n_x,)``.
+        time: Time of the event [s].
+        state: State at that time, ``(n_x,)``.
     """
     return ChatterError(
         f"Events of the switch `{switch}` accumulate, and the execution ends at their limit",
@@ -231,8 +231,8 @@ def undefined_guard(switch: str, time: float, state: Vector) -> SimulationError:
 
     Args:
         switch: Name of the switch.
-        time: When [s].
-        state: State there, ``(n_x,)``.
+        time: Time of the event [s].
+        state: State at that time, ``(n_x,)``.
     """
     return SimulationError(
         f"The guard of the switch `{switch}` must be a number, but it is NaN",
@@ -246,8 +246,8 @@ def undetermined_contact(names: str, time: float, state: Vector) -> Simultaneous
 
     Args:
         names: Names of the stops.
-        time: When [s].
-        state: State there, ``(n_x,)``.
+        time: Time of the event [s].
+        state: State at that time, ``(n_x,)``.
     """
     return SimultaneousEventsError(
         f"The laws of contact determine no set, or several sets of closed stops among {names}",
@@ -262,8 +262,8 @@ def slides(graph: GraphDynamics, switch: int, time: float, state: Vector) -> Sli
     Args:
         graph: The modes.
         switch: Index of the switch.
-        time: When [s].
-        state: State there, ``(n_x,)``.
+        time: Time of the event [s].
+        state: State at that time, ``(n_x,)``.
     """
     name = graph.switch_names[switch]
     return SlidingError(
@@ -280,7 +280,7 @@ def enters_by_switch(switch: str, stop: str, time: float, state: Vector) -> Pene
     Args:
         switch: Name of the switch.
         stop: Name of the stop.
-        time: When [s].
+        time: Time of the event [s].
         state: State after the reset, ``(n_x,)``.
     """
     return PenetrationError(
@@ -295,8 +295,8 @@ def armed_at_start(switch: str, time: float, state: Vector) -> SimulationError:
 
     Args:
         switch: Name of the switch.
-        time: When [s].
-        state: State there, ``(n_x,)``.
+        time: Time of the event [s].
+        state: State at that time, ``(n_x,)``.
     """
     return SimulationError(
         f"The switch `{switch}` is armed at its start: its guard is zero there and falls. Start a "

@@ -605,7 +605,7 @@ class ReferenceRun(StopRun):
 
         Args:
             start: Start of the arc that it ended.
-            time: When [s].
+            time: Time of the event [s].
             x: State there, ``(n_x,)``.
             kind: Kind of the guard.
             index: Index of the stop or switch.
@@ -639,7 +639,7 @@ class ReferenceRun(StopRun):
 
         Args:
             event: Name of the event.
-            time: When [s].
+            time: Time of the event [s].
             x: State just after it, ``(n_x,)``.
             after: The start without that, or ``None`` if the event ends the execution.
         """
@@ -723,7 +723,7 @@ class ReferenceRun(StopRun):
         the accelerations is an error of the limits.
 
         Args:
-            time: When [s].
+            time: Time of the event [s].
             x: State before the impact, ``(n_x,)``.
             approach_rate: Gap rate before it.
 
@@ -1591,7 +1591,7 @@ class ReferenceRun(StopRun):
 
         Args:
             start: Start of the arc that it ended.
-            time: When [s].
+            time: Time of the event [s].
             x: State there, ``(n_x,)``.
             s: Index of the switch.
             scaled: Scaled gap and its rate, if the arc is a rescaled flight, which goes on.
@@ -1695,7 +1695,7 @@ class ReferenceRun(StopRun):
         """Return the start at a state: each stop with zero gap and rate holds, or opens.
 
         Args:
-            time: When [s].
+            time: Time of the event [s].
             x: The state, ``(n_x,)``.
             was_closed: The stops that were closed. ``None`` for a first state, which may be one of
                 another run.
@@ -1795,7 +1795,7 @@ class ReferenceRun(StopRun):
         """Return the stops with zero gap at a state: those at rest, those that open, those struck.
 
         Args:
-            time: When [s].
+            time: Time of the event [s].
             x: The state, ``(n_x,)``.
             was_closed: As for `_placed`.
             switch: As for `_placed`.
@@ -1842,7 +1842,7 @@ class ReferenceRun(StopRun):
 
         Args:
             stops: The stops.
-            time: When [s].
+            time: Time of the event [s].
             x: State after the event, ``(n_x,)``.
 
         Returns:

@@ -154,7 +154,7 @@ class StopRun(ABC):
         """Record a release, and return the start of the flight after it.
 
         Args:
-            time: When [s].
+            time: Time of the event [s].
             x: State at the end of the contact, ``(n_x,)``.
         """
         state = self.dynamics.on_stop(x)
@@ -191,7 +191,7 @@ class StopRun(ABC):
         """Return the next start where the gap closes: the stop is struck, or only touched.
 
         Args:
-            time: When [s].
+            time: Time of the event [s].
             x: State there, ``(n_x,)``.
             rate: Gap rate there. If it is within rounding, the stop is touched.
         """
@@ -271,7 +271,7 @@ class StopRun(ABC):
 
         Args:
             time: When the gap closes [s].
-            state: State there, ``(n_x,)``.
+            state: State at that time, ``(n_x,)``.
             rate: Gap rate there. Dense output may see a fall where the steps, a rounding later,
                 find the gap opening again.
         """

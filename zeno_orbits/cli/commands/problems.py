@@ -130,7 +130,7 @@ def add_conditions(commands: Any) -> None:
     add_problem(parser)
     add_at(parser)
     parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="draw the region d2h/dt2 < 0 here"
+        "--plot", type=Path, metavar="FILE", help="picture of the region d2h/dt2 < 0"
     )
 
 

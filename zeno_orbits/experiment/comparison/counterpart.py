@@ -147,7 +147,9 @@ def recording_counterpart(
         end, overlay = recording, lay_over(orbit, problem, recording, names)
     if overlay is None or not overlay.holds:
         why = overlay.reasons()[0] if overlay else "it lacks a recognizable period"
-        raise InputError(f"Argument `data` must show such an orbit, but {why}. See `compare`.")
+        raise InputError(
+            f"Argument `data` must show an orbit of the problem, but {why}. See `compare`."
+        )
     where = overlay.where
     kept, start = _last_cycles(end.time, where, n_periods)
     signals = {signal.name: signal.values for signal in end.signals}

@@ -46,13 +46,13 @@ class RigCycle:
 
     Attributes:
         release: When it begins [s].
-        release_state: State there, ``(n_y,)``.
+        release_state: State at that time, ``(n_y,)``.
         impact: The first contact after it.
         impacts: Number of contacts before the sustained contact.
         lock: Start of the sustained contact, which is the end of the chatter [s].
-        lock_state: State there.
+        lock_state: State at that time.
         end: The next release [s].
-        end_state: State there.
+        end_state: State at that time.
     """
 
     release: float

@@ -132,10 +132,10 @@ class Touch:
 
     Attributes:
         start: When it begins [s].
-        state: State there, ``(n_y,)``.
+        state: State at that time, ``(n_y,)``.
         approach_rate: Gap rate there, negative unless the run started in contact.
         end: End time [s]. It is infinite if the run ended in the contact.
-        end_state: State there.
+        end_state: State at that time.
         depart_rate: Gap rate there.
         stop: Name of the stop.
     """

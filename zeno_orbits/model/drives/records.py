@@ -66,8 +66,8 @@ class Record(ByValue):
         """
         if self.period is None:
             raise InputError(
-                f"Argument `period` of the record `{self.name}` is missing: a clock that turns "
-                "needs a record that is repeated."
+                f"Argument `period` of the record `{self.name}` is missing: with a clock, "
+                "a record must be periodic."
             )
         return _TURN / self.period
 

@@ -269,7 +269,7 @@ class PolynomialBlock:
     __slots__ = ("basis", "c", "r", "s")
 
     def __init__(self, basis: Basis, c: Vector, r: Vector, s: Vector) -> None:
-        """Store views of coefficients, radii and sizes."""
+        """Store coefficients, radii and sizes without copying them."""
         self.basis, self.c, self.r, self.s = basis, c, r, s
 
     def dot(self, others: Any) -> Polynomial:
