@@ -85,6 +85,7 @@ GAIN = 'zo.Quantity(name="k", unit="1", meaning="k", default=9.0, '
         ("= -v", "= -v * open('k').read()", 8, "the file `k` is missing. Write `Path(__file__)"),
         ('title="ball"', 'title="ball', 15, "Close the quotation mark"),
         ('"m", 1.0,', 'name="m", default=1,0,', 19, "write a decimal point, as in `1.5`"),
+        ('"m/s^2"', '"mH"', 20, "`mH` is not a unit: convert the value to `H`."),
         ('"m/s^2"', '"m/s**2"', 20, "`s**2` in `m/s**2` is not a unit: write `m/s^2`, with"),
         ("= -v", "= -v()", 8, "a formula or number is called (`'SX' object is not callable`)"),
         ("= -v", "= -v * (q > 0 and v)", 8, "`ca.logic_and` for `and`"),

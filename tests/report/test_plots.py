@@ -642,3 +642,17 @@ def test_labels_of_contours_keep_off_each_other_and_off_boundaries(
     for line in ax.lines:
         _, at = ax.transData.transform((2.0, np.ravel(line.get_ydata())[0]))
         assert not any(box.y0 <= at <= box.y1 for box in boxes)
+
+
+def test_a_formula_in_a_label_of_two_lines_is_drawn_without_a_warning(
+    caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    figure = Figure()
+    ax = figure.subplots()
+    ax.set_xlabel("speed $v$ of\nright [m/s]")
+    ax.set_ylabel("a name with $ in it")
+    save_figure(figure, tmp_path / "label.png")
+    assert not caplog.records
+    assert ax.xaxis.label.get_parse_math()
+    # One dollar sign begins no formula.
+    assert ax.yaxis.label.get_text() == "a name with $ in it"

@@ -157,6 +157,8 @@ def _factor(factor: str, text: str) -> Powers:
             meant = f"{meant}^{found[2]}"
         known = ", ".join((*_BASE, *_OTHERS, *_DERIVED))
         remedy = f": write `{meant}`" if meant else f". Known units are {known}"
+        if symbol[:1] in _PREFIXES and symbol[1:] in _DERIVED:
+            remedy = f": convert the value to `{symbol[1:]}`"
         if "*" in factor:
             meant = text.replace("**", "^").replace("*", " ")
             remedy = f": write `{meant}`, with spaces"

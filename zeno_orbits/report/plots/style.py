@@ -103,7 +103,8 @@ def keep_legible(figure: Figure) -> None:
     for text in figure.findobj(lambda one: isinstance(one, Text) and "$" in one.get_text()):
         if isinstance(text, Text):
             try:
-                _FORMULAS.parse(text.get_text())
+                for line in text.get_text().split("\n"):
+                    _FORMULAS.parse(line)
             except ValueError:
                 text.set_parse_math(False)
 
