@@ -67,6 +67,9 @@ def summary_line(found: Pushes) -> str:
     )
 
 
+_ROUNDING = 1e-13
+"""Extent of a state, relative to the largest extent, that is rounding."""
+
 PUSHES: list[TableColumn[Push]] = [
     number_column("phase [1]", lambda push: f"{push.phase:.4f}"),
     text_column("mode", lambda push: push.mode),
@@ -107,8 +110,10 @@ def recovery_lines(found: Recovery) -> list[str]:
 
 
 def extents_of(found: Recovery) -> list[tuple[str, float]]:
-    """Return the states that vary inside the ball, each with its largest difference."""
-    return [(name, extent) for name, extent in found.extents.items() if 0.0 < extent < math.inf]
+    """Return the states that vary inside the ball by more than rounding, with the differences."""
+    finite = {name: extent for name, extent in found.extents.items() if extent < math.inf}
+    least = _ROUNDING * max(finite.values(), default=0.0)
+    return [(name, extent) for name, extent in finite.items() if extent > least]
 
 
 def extent_columns(found: Recovery) -> list[TableColumn[tuple[str, float]]]:
