@@ -66,7 +66,7 @@ def test_signals_of_a_problem_are_known(track: Path) -> None:
     track.write_text("time [s],theta1 [m]\n0,1\n1,2\n")
     answer = ask("read", track.name, "--problem", "motor_pendulum")
     assert answer.code == NO
-    assert "the signal counts in rad" in answer.out
+    assert "the signal is in rad" in answer.out
 
 
 @pytest.mark.parametrize(

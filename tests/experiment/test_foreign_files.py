@@ -351,6 +351,7 @@ REFUSED = {
         PLAIN,
         "`1.234,5` .* write it without thousands separators",
     ),
+    "two decimal points": ("time [s],x [m]\n0,1..2\n1,1\n", PLAIN, "`1..2` .* correct or empty"),
     "a title with more words": (
         "Latest: Time (s),x (m)\n0,1\n1,2\n",
         PLAIN,

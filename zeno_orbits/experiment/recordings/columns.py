@@ -218,7 +218,7 @@ def _column(
             return replace(one, trouble=told)
     if name in known and powers_of(si) != powers_of(known[name]):
         recorded = notes.units.get(name, unit)
-        told = f"{where}: column `{name}` has the unit {recorded}, but the signal counts in"
+        told = f"{where}: column `{name}` has the unit {recorded}, but the signal is in"
         return replace(one, trouble=f"{told} {known[name]}: correct the title")
     if one.is_time and si != "s":
         told = f"{where}: column `{title}` is not a time: write `time [s]` or `time [ms]`"

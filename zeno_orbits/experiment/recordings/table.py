@@ -29,6 +29,8 @@ from zeno_orbits.experiment.recordings.text_files import opened, pieces_of
 
 _CLOCK = re.compile(r"\d:\d\d")
 """A time of the day."""
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}([.,]\d{3})+([.,]\d+)?")
+"""A number with separators between its thousands."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -173,7 +175,7 @@ class _Reader:
             message = f"line {line} has `{short(text)}` where column `{title}` has a number"
             if _CLOCK.search(text):
                 raise DataFileError(self.path, f"{message}: write seconds since the start")
-            if number_of(text.replace(".", "").replace(",", "")) is not None:
+            if _THOUSANDS.fullmatch(text):
                 raise DataFileError(self.path, f"{message}: write it without thousands separators")
             raise DataFileError(self.path, f"{message}: correct or empty it")
         return number
