@@ -147,7 +147,7 @@ def print_map(found: ParameterMap) -> None:
         groups.setdefault(attractor.phrase, []).append(attractor)
     total = len(found.attractors)
     columns: list[TableColumn[tuple[str, list[Attractor]]]] = [
-        text_column("the motion settles to", lambda row: row[0]),
+        text_column("attractor", lambda row: row[0]),
         number_column("points", lambda row: str(len(row[1]))),
         number_column("share", lambda row: f"{100 * len(row[1]) / total:.1f} %"),
         number_column("period [s]", lambda row: _range([one.period for one in row[1]])),
@@ -156,7 +156,7 @@ def print_map(found: ParameterMap) -> None:
         ),
     ]
     print_table(columns, sorted(groups.items(), key=lambda item: -len(item[1])))
-    axes = (f"{a.name} = {a.lower:g} ... {a.upper:g} ({a.count})" for a in (found.x, found.y))
+    axes = (f"{a.name} = {a.lower:g} to {a.upper:g} ({a.count})" for a in (found.x, found.y))
     print_lines([f"{' by '.join(axes)}. Each motion was simulated for {found.until:g} s at most."])
     if found.refine:
         finest_x, finest_y, _ = found.finest()
@@ -465,7 +465,7 @@ def _below(x: float) -> str:
 
 def _range(values: Sequence[float]) -> str:
     finite = [value for value in values if math.isfinite(value)]
-    return f"{min(finite):.4g} ... {max(finite):.4g}" if finite else ""
+    return f"{min(finite):.4g} to {max(finite):.4g}" if finite else ""
 
 
 def print_families(found: Continuation) -> None:
