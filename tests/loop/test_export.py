@@ -15,7 +15,8 @@ from tests.support.commands import MISUSE, YES, ask
 from tests.support.nested_kinks import half_periods, nested_problem
 from tests.support.one_stop import GRAPHS, one_stop_problems
 from zeno_orbits.loop import binding
-from zeno_orbits.simulation import Impact, SwitchEvent, ZenoPoint, simulate
+from zeno_orbits.orbits import orbit_event_name
+from zeno_orbits.simulation import simulate, state_after
 
 pytestmark = [needs_compiler, pytest.mark.usefixtures("here")]
 
@@ -48,21 +49,12 @@ def _expected(name: str, until: float, **numbers: float) -> list[tuple[str, list
     problem = zo.load_problem(name)
     values = problem.values(numbers=numbers)
     run = simulate(
-        problem.graph_dynamics(values) if problem.has_graph else problem.dynamics(values),
-        problem.state_vector(problem.starts[0]),
-        until=until,
+        problem.graph_dynamics(values), problem.state_vector(problem.starts[0]), until=until
     )
-    found: list[tuple[str, list[float]]] = []
-    for event in run.events:
-        kind = "impact" if isinstance(event, Impact) else "release"
-        kind = "zeno" if isinstance(event, ZenoPoint) else kind
-        if isinstance(event, SwitchEvent):
-            kind, name, state = "switch", event.name, event.state_plus
-        else:
-            name = event.stop
-            state = event.state_plus if isinstance(event, Impact) else event.state
-        found.append((f"{kind} {name}".strip(), [event.time, *state.tolist()]))
-    return found
+    return [
+        (orbit_event_name(event), [event.time, *state_after(event).tolist()])
+        for event in run.events
+    ]
 
 
 @pytest.mark.parametrize(
@@ -279,9 +271,9 @@ def test_numbers_and_start_are_those_that_were_asked_for() -> None:
     )
     found = _events_of("bouncing_ball", *options)
     fall = math.sqrt(2 * 2 / 1.62)
-    assert found[0][0] == "impact"
+    assert found[0][0] == "impact stop"
     assert found[0][1][0] == pytest.approx(fall, rel=1e-14)
-    zeno = next(numbers for kind, numbers in found if kind == "zeno")
+    zeno = next(numbers for kind, numbers in found if kind == "zeno stop")
     assert zeno[0] == pytest.approx(fall * 1.7 / 0.3, rel=1e-11)
 
 
@@ -289,8 +281,8 @@ def test_numbers_and_start_are_those_that_were_asked_for() -> None:
 def test_near_one_impacts_are_followed_one_by_one() -> None:
     found = _events_of("bouncing_ball", "--set", "restitution=0.99", "--until", "95")
     fall = math.sqrt(2 / 9.81)
-    assert sum(kind == "impact" for kind, _ in found) > 600
-    zeno = next(numbers for kind, numbers in found if kind == "zeno")
+    assert sum(kind == "impact stop" for kind, _ in found) > 600
+    zeno = next(numbers for kind, numbers in found if kind == "zeno stop")
     assert zeno[0] == pytest.approx(fall * 1.99 / 0.01, rel=1e-10)
 
 

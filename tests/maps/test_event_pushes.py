@@ -233,7 +233,7 @@ def test_the_command_pushes_an_orbit_of_events(tmp_path: Path) -> None:
 def test_a_stable_orbit_of_events_is_pushed_as_the_same_orbit_with_one_stop(name: str) -> None:
     plain = zo.find_orbit(name).orbit
     assert plain is not None
-    section = "release stop" if plain.shape.starts_at_release else "impact stop"
+    section = "release stop" if plain.shape.n_releases else "impact stop"
     orbit = zo.find_orbit(name, section=section).unwrap()
     settings = zo.PushSettings(phases=2, steps=2, reach=0.1)
     pushes = [zo.largest_push(one, settings=settings) for one in (plain, orbit)]

@@ -515,10 +515,7 @@ def test_why_phases_are_no_shape_is_told_with_one_full_stop(tmp_path: Path) -> N
     assert "`zeno,plastic`. `search" in message
 
 
-def test_a_file_of_one_release_has_format_1_and_no_other(tmp_path: Path) -> None:
-    data = old_data(OTHER) | {"shape": "zeno"}
-    data["phases"] = data["phases"][:1]
-    assert "a shape `zeno` has format 1, but it has 2" in _refusal(tmp_path, json.dumps(data))
+def test_a_file_of_one_release_has_the_shape_of_its_phases(tmp_path: Path) -> None:
     said = old_data(SMALL) | {"shape": "zeno*2"}
     assert "its `shape` is `zeno*2`" in _refusal(tmp_path, json.dumps(said))
 

@@ -84,7 +84,7 @@ def test_every_problem_goes_through_every_command(
     pictures = {"portraits", "time", "run"}
     problem = load_problem(name)
     dynamics = problem.dynamics(problem.values())
-    if _orbit(name).shape.starts_at_release:
+    if _orbit(name).shape.n_releases:
         pictures |= {"zeno", "region"} if has_zeno_region(dynamics) else {"zeno"}
     pictures |= {"outputs"} if problem.outputs else set()
     assert {path.stem for path in tmp_path.glob("*.png")} == pictures

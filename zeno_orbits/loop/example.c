@@ -18,7 +18,7 @@ static void print_name(const double *row) {
     static const char *const kinds[] = {"impact", "zeno", "release", "", "switch"};
     const int kind = (int)row[0], index = (int)row[5];
     const char *name = (kind == ZL_SWITCH ? PROBLEM_switch_names : PROBLEM_stop_names)[index];
-    printf("%s%s%s", kinds[kind], *name ? " " : "", name);
+    printf("%s %s", kinds[kind], name);
 }
 
 static void print_events(const zl_records *records, long long n_x) {

@@ -44,7 +44,7 @@ class ExportedRun:
     values: Vector
     state: Vector
     settings: Sequence[RunSettings]
-    stop_names: Sequence[str] = ("",)
+    stop_names: Sequence[str]
     switch_names: Sequence[str] = ()
 
 

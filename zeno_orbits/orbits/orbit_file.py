@@ -346,12 +346,9 @@ def _require_positive(name: str, value: float) -> None:
 
 
 def _require_shape(entries: Mapping[str, Any], shape: EventSequence, number: int) -> None:
-    """Reject phases of a shape unlike the file's, or of the other format."""
+    """Reject phases of a shape unlike the file's."""
     if number == _PHASES and "shape" not in entries:
         raise EntryError("shape", "there", "missing")
     said = entries.get("shape", shape.text)
     if said != shape.text:
         raise _ContradictionError(f"its `shape` is `{said}`, but its phases are `{shape.text}`")
-    if shape.has_one_release and number != _ONE_RELEASE:
-        message = f"a shape `{said}` has format {_ONE_RELEASE}, but it has {number}"
-        raise _ContradictionError(message)

@@ -34,6 +34,8 @@ ZENO_ORBIT = "Zeno periodic orbit"
 SIMPLE_ORBIT = "simple periodic orbit"
 """Name of an orbit whose stops are plastic, so that no impacts accumulate ([OrAmes2009]_)."""
 NO_ZENO_ORBIT = "periodic orbit without a Zeno point"
+_ONE_RELEASE = {"zeno": ZENO_ORBIT, "plastic": f"{SIMPLE_ORBIT} (plastic impacts)"}
+"""Descriptions of the shapes with one flight, its impacts and one contact phase."""
 
 _MOST_PHASES = 1000
 """Number of phases per period beyond which a text is treated as a typing error."""
@@ -96,29 +98,19 @@ class EventSequence:
         return SIMPLE_ORBIT if PhaseKind.PLASTIC in self.phases else NO_ZENO_ORBIT
 
     @property
+    def described(self) -> str:
+        """The kind with the shape, unless one flight and one contact phase form the period."""
+        return _ONE_RELEASE.get(self.text, f"{self.kind} (shape {self.text})")
+
+    @property
     def n_phases(self) -> int:
         """Number of phases."""
         return len(self.phases)
 
     @property
     def n_releases(self) -> int:
-        """Number of releases."""
+        """Number of releases, and of contact phases. The period starts at the last, if any."""
         return sum(kind.holds for kind in self.phases)
-
-    @property
-    def starts_at_release(self) -> bool:
-        """True if the period starts at a release, rather than just after an impact."""
-        return self.phases[-1].holds
-
-    @property
-    def without_contact(self) -> bool:
-        """True if the state leaves the stop after every impact, so that no contact phase exists."""
-        return self.n_releases == 0
-
-    @property
-    def has_one_release(self) -> bool:
-        """True if the period consists of one flight, its impacts and one contact phase."""
-        return self.n_phases == 1 and self.starts_at_release
 
     @property
     def shorter(self) -> tuple[EventSequence, ...]:
@@ -153,7 +145,7 @@ class EventSequence:
         Raises:
             InputError: If the shape has several phases, or does not have a release.
         """
-        if not self.has_one_release:
+        if self.text not in _ONE_RELEASE:
             wanted = "must have one Zeno point and one release per period"
             raise InputError(f"Argument `orbit` {wanted}, but its shape is `{self.text}`.")
 

@@ -104,7 +104,7 @@ def enclose_one_period(
             require_fit(orbit, problem, values)
             require_proved(orbit.has_phases, "shape", "the machine has several stops or switches")
             reason = f"the period does not start at a release (shape `{orbit.shape.text}`)"
-            require_proved(orbit.shape.starts_at_release, "shape", reason)
+            require_proved(orbit.shape.n_releases > 0, "shape", reason)
             held = all(phase.kind.holds for phase in orbit.phases)
             reason = f"an impact is followed by a flight (shape `{orbit.shape.text}`)"
             require_proved(held, "shape", reason)

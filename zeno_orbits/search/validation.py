@@ -64,7 +64,7 @@ def _check_boxes(problem: Problem, free: Mapping[str, tuple[float, float]]) -> N
 def _check_impacts(search: SearchProblem) -> None:
     """Reject elastic impacts if the shape of the orbits has a contact phase."""
     shape = search.shape or (search.near.phases_as if search.near is not None else None)
-    if shape is None or shape.without_contact:
+    if shape is None or not shape.n_releases:
         return
     _, highest = search.free.get("restitution", (0.0, None))
     bounciest = search.values
@@ -147,7 +147,7 @@ def _check_multipliers(search: SearchProblem) -> None:
 
 def _is_without_release(search: SearchProblem) -> bool:
     shape = search.shape or (search.near.phases_as if search.near is not None else None)
-    return shape is not None and not shape.starts_at_release
+    return shape is not None and not shape.n_releases
 
 
 def check_objective(

@@ -312,10 +312,8 @@ class OrbitCertificate(TableRepr):
         shape = EventSequence.parsed(self.shape) if self.shape else None
         if shape is None:
             what = f"{self._kind_of_events} (events: {_listed(self.events)})"
-        elif not shape.has_one_release:
-            what = f"{shape.kind} (shape {shape.text})"
         else:
-            what = f"{shape.kind}{' (plastic impacts)' if shape.kind == SIMPLE_ORBIT else ''}"
+            what = shape.described
         if self.stable:
             return f"a stable {what}"
         if self.unstable:

@@ -216,9 +216,11 @@ def followed(
 def _periods(execution: Execution, claim: Claim, x: Vector) -> Iterator[Period]:
     """Yield the periods of an execution, each ended by its n-th event of the section."""
     begin, count, first, events = 0.0, 0, 0, execution.events
-    at_once = _AT_ONCE * claim.period if claim.starts_at_release else 0.0
     while first < len(events) and isinstance(events[first], Release):
-        if events[first].time > at_once or orbit_event_name(events[first]) != claim.section:
+        if (
+            events[first].time > _AT_ONCE * claim.period
+            or orbit_event_name(events[first]) != claim.section
+        ):
             break
         first += 1
     for place, event in enumerate(events[first:], first):

@@ -247,7 +247,7 @@ def off_section(
         before = claim.events[-1].state
         after = graph.after_switch(graph.switch_names.index(name), before)
         off.append(distance(after, x, scale))
-    return {"release" if claim.starts_at_release else "start": max(off)}
+    return {"release" if any(at.released for at in one.contacts) else "start": max(off)}
 
 
 # The laws.

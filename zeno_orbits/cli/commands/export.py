@@ -242,7 +242,7 @@ def _exported(
         values=np.array(values.vector),
         state=task.state,
         settings=run_settings(task),
-        stop_names=graph.stop_names if problem.has_graph else ("",),
+        stop_names=graph.stop_names,
         switch_names=graph.switch_names,
     )
     return program, run

@@ -96,7 +96,7 @@ def proof_start(orbit: Orbit) -> ProofStart:
         ProofError: If no event of the orbit is a section of a proof.
     """
     if orbit.has_phases:
-        struck = orbit.shape.without_contact
+        struck = not orbit.shape.n_releases
         count = orbit.shape.n_phases if struck else orbit.shape.n_releases
         kind = SectionKind.IMPACT if struck else SectionKind.RELEASE
         return ProofStart(orbit=orbit, kind=kind, event="stop", count=count)

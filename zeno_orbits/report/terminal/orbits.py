@@ -248,7 +248,7 @@ def print_summary(
     at = f" at {', '.join(given)}" if given else ""
     shape = orbit.phases_as
     text = ", ".join(orbit.sequence) if shape is None else shape.text
-    named = orbit.kind if shape is not None and shape.has_one_release else f"orbit `{text}`"
+    named = orbit.kind if text in ("zeno", "plastic") else f"orbit `{text}`"
     print_lines([f"Found: {kind}{named} of {problem.name}{at}{unknown}"])
     facts = [f"period {orbit.period:.12g} s"]
     if certificate.multipliers:
@@ -410,7 +410,7 @@ def _value_rows(problem: Problem, orbit: Orbit, free: set[str]) -> Iterator[_Row
 def _phase_rows(problem: Problem, orbit: Orbit) -> Iterator[_Row]:
     if orbit.phases_as is None:
         return
-    if not orbit.shape.has_one_release:
+    if orbit.shape.n_phases > 1 or not orbit.shape.n_releases:
         yield "shape", orbit.shape.text, ""
     for k, phase in enumerate(orbit.phases):
         if orbit.shape.n_phases > 1:
