@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 
 import zeno_orbits as zo
 from benchmarks import random_graphs
-from tests.loop.agreement import needs_compiler
+from tests.loop.agreement import looped, needs_compiler
 from tests.loop.refused import REFUSED
 from tests.loop.shaken import shaken
 from tests.support.cases import fast
@@ -31,9 +30,8 @@ from zeno_orbits.simulation import (
     SwitchEvent,
     by_reference,
     run_settings,
+    whole_program,
 )
-from zeno_orbits.simulation.compiled.executions import by_loop
-from zeno_orbits.simulation.compiled.programs import graph_program
 
 pytestmark = needs_compiler
 
@@ -69,14 +67,11 @@ def both(
         most_releases=(limits or {}).get("releases", np.inf),
         most_impacts=(limits or {}).get("impacts", np.inf),
     )
-    found: list[tuple[Execution | None, SimulationError | None]] = []
-    for run in (by_loop, partial(by_reference, plain=False)):
-        try:
-            execution = run(task)
-            found.append((execution, None))
-        except SimulationError as error:
-            found.append((error.execution, error))
-    return found
+    loop = looped(task)
+    try:
+        return [(loop.execution, loop.error), (by_reference(task, plain=False), None)]
+    except SimulationError as error:
+        return [(loop.execution, loop.error), (error.execution, error)]
 
 
 def words(one: Event | Arc) -> list[object]:
@@ -240,8 +235,8 @@ def test_a_run_goes_on_after_every_step(name: str) -> None:
     graph = problem.graph_dynamics(problem.values())
     state = np.array(problem.state_vector(problem.starts[0]))
     task = SimulationTask(dynamics=graph, state=state, until=2.0, settings=EXPLICIT)
-    whole = by_loop(task)
-    program = graph_program(graph.compiled)
+    whole = looped(task).execution
+    program = whole_program(graph.compiled)
     assert whole is not None
     assert not isinstance(program, str)
     run = LoopRun(program, filled(run_settings(task)), graph.p, state)

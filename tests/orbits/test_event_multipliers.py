@@ -19,7 +19,7 @@ import zeno_orbits as zo
 from tests.reference.event_loop import Contact, Machine, simulated
 from tests.support.cases import fast
 from zeno_orbits.maps import attractors_at
-from zeno_orbits.report.terminal.orbits import print_certificate
+from zeno_orbits.report.terminal import print_certificate
 
 # Stops that are closed during the whole period.
 

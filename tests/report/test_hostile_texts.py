@@ -20,8 +20,7 @@ from tests.support.cases import fast
 from tests.support.commands import ask
 from tests.support.data_files import contents_by_kind, reading_commands
 from zeno_orbits.maps import read_map, write_map
-from zeno_orbits.precision import WorkPrecision
-from zeno_orbits.precision.work_precision import TimedSetting
+from zeno_orbits.precision import TimedSetting, WorkPrecision
 from zeno_orbits.report import terminal
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 import zeno_orbits as zo
 from tests.support.disturbances import pushes_of
 from zeno_orbits.report import plots
-from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH
+from zeno_orbits.report.plots import COLUMN_WIDTH, FULL_WIDTH
 from zeno_orbits.simulation import Execution
 
 MACHINES = {

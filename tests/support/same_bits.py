@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 import zeno_orbits as zo
+from tests.loop.agreement import followed, looped
 from zeno_orbits.integrators import RungeKutta
-from zeno_orbits.simulation import Execution, SimulationSettings, SimulationTask, by_reference
-from zeno_orbits.simulation.compiled.executions import by_loop
+from zeno_orbits.simulation import Execution, SimulationSettings, SimulationTask
 
 
 def agreed(
@@ -20,14 +20,21 @@ def agreed(
         until: End time [s].
         settings: The default has explicit steps.
     """
-    task = SimulationTask(
-        dynamics=problem.graph_dynamics(problem.values()),
-        state=np.array(problem.state_vector(problem.starts[0])),
-        until=until,
-        settings=settings or SimulationSettings(engine=RungeKutta()),
+    return same_bits(
+        SimulationTask(
+            dynamics=problem.graph_dynamics(problem.values()),
+            state=np.array(problem.state_vector(problem.starts[0])),
+            until=until,
+            settings=settings or SimulationSettings(engine=RungeKutta()),
+        )
     )
-    found, wanted = by_loop(task), by_reference(task)
+
+
+def same_bits(task: SimulationTask) -> Execution:
+    """Require that loop and reference agree in every bit and step, and return the execution."""
+    found, wanted = looped(task).execution, followed(task).execution
     assert found is not None
+    assert wanted is not None
     assert [type(one) for one in found.events] == [type(one) for one in wanted.events]
     assert [one.time for one in found.events] == [one.time for one in wanted.events]
     assert np.array_equal(found.end_state, wanted.end_state)

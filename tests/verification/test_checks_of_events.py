@@ -23,8 +23,7 @@ from tests.support.orbits import event_orbit
 from zeno_orbits import StateLimit
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Automatic, Segment, SegmentResult, Tolerance
-from zeno_orbits.model import GraphDynamics, HybridDynamics, load_problem
-from zeno_orbits.model.modes import GraphMode
+from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics, load_problem
 from zeno_orbits.simulation import TailEstimate, ZenoExtrapolation, ZenoLimit
 from zeno_orbits.verification import CHECKS, OrbitCertificate, VerificationSettings
 
