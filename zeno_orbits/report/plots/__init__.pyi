@@ -15,11 +15,11 @@ from .mechanism import plot_mechanism as plot_mechanism
 from .paper_figures import Material as Material
 from .paper_figures import PAPER as PAPER
 from .portraits import plot_portraits as plot_portraits
-from .pushes import plot_pushes as plot_pushes
+from .disturbances import plot_pushes as plot_pushes
 from .recording import plot_comparison as plot_comparison
 from .region import has_zeno_region as has_zeno_region
 from .region import plot_zeno_set as plot_zeno_set
-from .scatter import plot_scatter as plot_scatter
+from .disturbances import plot_scatter as plot_scatter
 from .style import COLUMN_WIDTH as COLUMN_WIDTH
 from .style import FULL_WIDTH as FULL_WIDTH
 from .style import rendered as rendered
@@ -27,7 +27,7 @@ from .style import save_figure as save_figure
 from .time_series import plot_outputs as plot_outputs
 from .time_series import plot_states as plot_states
 from .time_series import plot_time_series as plot_time_series
-from .transient import plot_transient as plot_transient
+from .recording import plot_transient as plot_transient
 from .two_motions import TwoMotions as TwoMotions
 from .two_motions import plot_beside_by_phase as plot_beside_by_phase
 from .two_motions import plot_beside_impacts as plot_beside_impacts

@@ -26,10 +26,9 @@ from zeno_orbits.report.plots.family import (
 from zeno_orbits.report.plots.map import plot_map
 from zeno_orbits.report.plots.panels import add_title, require_width
 from zeno_orbits.report.plots.portraits import plot_portraits
-from zeno_orbits.report.plots.recording import plot_comparison
+from zeno_orbits.report.plots.recording import plot_comparison, plot_transient
 from zeno_orbits.report.plots.style import FULL_WIDTH, keep_legible
 from zeno_orbits.report.plots.time_series import plot_states, plot_time_series
-from zeno_orbits.report.plots.transient import plot_transient
 from zeno_orbits.report.plots.work_precision import plot_trade
 from zeno_orbits.search import SearchResult, ShootingResult
 from zeno_orbits.simulation import Execution

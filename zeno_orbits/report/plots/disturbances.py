@@ -1,15 +1,18 @@
 # pyright: reportUnknownMemberType=false
 # The stubs of matplotlib leave most keyword arguments untyped.
-"""The largest pushes of an orbit over its phase, one panel for each direction."""
+"""Results on disturbances of an orbit: the largest pushes, and the scatter of its quantities."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from zeno_orbits.maps import Pushes
+from zeno_orbits.errors import InputError
+from zeno_orbits.maps import Pushes, Scatter, ScatterRow
 from zeno_orbits.report.plots.panels import panels_of
 from zeno_orbits.report.plots.style import FULL_WIDTH, INK, PALETTE, TINTS
 from zeno_orbits.report.push_panels import PushPanel, push_panels
@@ -31,13 +34,13 @@ def plot_pushes(found: Pushes, *, width: float = FULL_WIDTH, axes: Sequence[Axes
     shown = push_panels(found)
     panels = panels_of(width, len(shown), height=2.4, axes=axes)
     for ax, panel in zip(panels, shown, strict=True):
-        _draw(ax, panel)
+        _draw_pushes(ax, panel)
         along = direction_symbol(panel.direction, math_symbol)
         ax.set(xlabel="phase [1]", ylabel=f"impulse along {along} [{panel.unit}]")
     return panels.finished()
 
 
-def _draw(ax: Axes, panel: PushPanel) -> None:
+def _draw_pushes(ax: Axes, panel: PushPanel) -> None:
     """Draw both signs of one direction: returning pushes are filled, lost pushes are marked."""
     step = panel.step
     for phase in panel.contact:
@@ -69,3 +72,54 @@ def _draw(ax: Axes, panel: PushPanel) -> None:
     top = _ROOM * max(abs(end) for end in ends)
     low, high = panel.phases[0] - step / 2, panel.phases[-1] + step / 2
     ax.set(xlim=(low, high), ylim=(-top, top))
+
+
+_BINS, _SPAN = 40, 4.0
+"""Bars of a panel, and half its width in standard deviations."""
+_LEAST = 1e-9
+"""Deviation relative to the value below which a quantity does not scatter."""
+
+
+def plot_scatter(found: Scatter, *, width: float = FULL_WIDTH, axes: Sequence[Axes] = ()) -> Figure:
+    """Return the distribution of each quantity that scatters, with the normal one to first order.
+
+    Args:
+        found: The scatter.
+        width: Width of the picture [in].
+        axes: Panels to draw into, one for each quantity. The default is a new figure.
+
+    Raises:
+        InputError: If nothing scatters, or no period counts.
+    """
+    shown = [row for row in found.rows if row.deviation > _LEAST * max(abs(row.orbit), _LEAST)]
+    if not shown:
+        raise InputError("Argument `found` must have a quantity that scatters.")
+    panels = panels_of(width, len(shown), height=2.2, axes=axes)
+    for ax, row in zip(panels, shown, strict=True):
+        _draw_distribution(ax, row, found)
+    return panels.finished()
+
+
+def _draw_distribution(ax: Axes, row: ScatterRow, found: Scatter) -> None:
+    """Draw a histogram of deviations from the orbit, and the normal density to first order."""
+    largest = _SPAN * max(row.linear, row.deviation)
+    power = 3 * math.floor(math.log10(largest) / 3)
+    unit, linear = 10.0**power, row.linear / 10.0**power
+    values, half = (found.samples[row.name] - row.orbit) / unit, largest / unit
+    ax.hist(
+        values,
+        bins=np.linspace(-half, half, _BINS + 1).tolist(),
+        density=True,
+        color=PALETTE[0],
+        alpha=0.35,
+        lw=0,
+        label="simulated",
+    )
+    if linear > 0.0:
+        x = np.linspace(-half, half, 201)
+        density = np.exp(-((x / linear) ** 2) / 2) / (linear * math.sqrt(2 * math.pi))
+        ax.plot(x, density, color=INK, lw=1.2, label="to first order")
+    tens = "" if power == 0 else rf"$10^{{{power}}}$ "
+    ax.set(
+        xlabel=f"{row.name} minus orbit [{tens}{row.unit}]", ylabel="density", xlim=(-half, half)
+    )
