@@ -14,6 +14,7 @@ from zeno_orbits.cli.commands.cache import add_cache
 from zeno_orbits.cli.commands.completion import add_completion
 from zeno_orbits.cli.commands.continue_command import add_continue
 from zeno_orbits.cli.commands.costs import add_fidelity, add_trade
+from zeno_orbits.cli.commands.disturbances import add_recovery, add_scatter
 from zeno_orbits.cli.commands.export import add_export
 from zeno_orbits.cli.commands.feedback import add_feedback
 from zeno_orbits.cli.commands.map import add_map
@@ -22,10 +23,8 @@ from zeno_orbits.cli.commands.problems import add_conditions, add_new, add_probl
 from zeno_orbits.cli.commands.prove import add_prove
 from zeno_orbits.cli.commands.push import add_push
 from zeno_orbits.cli.commands.recordings import add_compare, add_identify, add_read
-from zeno_orbits.cli.commands.recovery import add_recovery
 from zeno_orbits.cli.commands.report_command import add_report
 from zeno_orbits.cli.commands.rig import add_rig
-from zeno_orbits.cli.commands.scatter import add_scatter
 from zeno_orbits.cli.commands.search import add_search
 from zeno_orbits.cli.commands.simulate import add_simulate
 from zeno_orbits.cli.commands.stability import add_stability

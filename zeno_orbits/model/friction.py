@@ -19,10 +19,9 @@ from itertools import chain, combinations, product
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.model.acceleration import accelerate
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.drives.friction import STICKS_BELOW
-from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.lagrangian import HybridLagrangian, accelerate
 from zeno_orbits.model.stops import Stop, Switch
 
 FORCED = 2.0

@@ -20,14 +20,13 @@ from typing import Any
 import casadi as ca
 
 from zeno_orbits.errors import did_you_mean
-from zeno_orbits.model.acceleration import accelerate
 from zeno_orbits.model.drives.auxiliary import Part
 from zeno_orbits.model.drives.circuits import Held
 from zeno_orbits.model.drives.waveforms import TimeOrder, time_orders
 from zeno_orbits.model.expressions.kinks import branched
 from zeno_orbits.model.friction import friction_formulas, require_free_rates
 from zeno_orbits.model.hybrid import CompletedSystem, completed
-from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.lagrangian import HybridLagrangian, accelerate
 from zeno_orbits.model.modes import GraphMode, ModeGraph, formulas_of, kinks_of
 from zeno_orbits.model.stops import (
     Stop,

@@ -14,7 +14,6 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.model.acceleration import accelerate
 from zeno_orbits.model.clock import Clock, Time
 from zeno_orbits.model.contact import (
     SLOWEST,
@@ -27,7 +26,7 @@ from zeno_orbits.model.drives.auxiliary import Part, joined_auxiliary
 from zeno_orbits.model.drives.circuits import Drive
 from zeno_orbits.model.expressions.identities import values_near_one
 from zeno_orbits.model.friction import stuck_motion
-from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.lagrangian import HybridLagrangian, accelerate
 from zeno_orbits.model.modes import ModeGraph
 
 _ROUNDING, _OF_STATES = 1e-9, 1e-14

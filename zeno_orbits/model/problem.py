@@ -25,7 +25,6 @@ from zeno_orbits.errors import (
     named_numbers,
     number_range,
 )
-from zeno_orbits.model.acceleration import accelerate
 from zeno_orbits.model.contact import require_zeno_points
 from zeno_orbits.model.declared.drawing import DrawingFunction, lines_of
 from zeno_orbits.model.declared.origin import Declared, Origin
@@ -46,6 +45,7 @@ from zeno_orbits.model.declared.starts import Start, require_starts, state_of
 from zeno_orbits.model.expressions.formula_units import unit_of
 from zeno_orbits.model.expressions.units import energy_unit, require_coherent
 from zeno_orbits.model.hybrid import CompletedSystem
+from zeno_orbits.model.lagrangian import accelerate
 from zeno_orbits.model.mistakes import place_in_file
 from zeno_orbits.model.modes import ModeGraph
 from zeno_orbits.model.validation import (
