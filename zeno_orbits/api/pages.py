@@ -120,12 +120,7 @@ def report_subject(
     compared = None
     if recording is not None:
         compared = compare(
-            found,
-            recording,
-            problem=known,
-            t_start=t_start,
-            t_end=t_end,
-            on_progress=on_progress,
+            found, recording, problem=known, t_start=t_start, t_end=t_end, on_progress=on_progress
         )
     machine = found.machine(known)
     certificate = verify(

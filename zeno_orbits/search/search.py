@@ -29,7 +29,7 @@ from zeno_orbits.search.outcome import (
     StartAttempt,
     StartOutcome,
 )
-from zeno_orbits.search.search_problem import Accept, SearchProblem, with_targets
+from zeno_orbits.search.search_problem import Accept, SearchProblem, with_defaults
 from zeno_orbits.search.settings import SearchMethod, SearchSettings, SearchStatus
 from zeno_orbits.search.starts.multistart import StartWorkers, outcomes
 from zeno_orbits.search.starts.ranking import SAME, SAME_OPTIMUM, SAME_STATE, are_close
@@ -78,9 +78,9 @@ def search_orbits(
 
     Args:
         problem: The problem.
-        values: Values of its gains and parameters. The first start has these values. Later starts
-            are points of the box, ordered by a scan of short simulations, the most promising first.
-            A search for an optimum starts at the scanned points immediately.
+        values: Values of its gains and parameters: the first start. Later starts are points of the
+            box, the most promising in a scan of short simulations first. A search for an optimum
+            starts at the scanned points immediately.
         free: Name to bounds of the gains and parameters to be found. Empty for fixed values. A
             value that the problem derives from a free parameter keeps its value in ``values``.
         objective: The objective. The default keeps free values near their start.
@@ -109,12 +109,11 @@ def search_orbits(
             ``spread`` is not usable.
         WorkError: If the workers of ``spread`` cannot finish.
     """
-    objective = objective or NearestGains(target={})
     search = SearchProblem(
         problem=problem,
         values=values,
         free=free,
-        objective=objective,
+        objective=objective or NearestGains(target={}),
         bounds=tuple(bounds),
         near=near,
         shape=shape,
@@ -126,10 +125,7 @@ def search_orbits(
         on_progress=on_progress,
     )
     check_search(search)
-    if near is not None:
-        agreed = near.phases_as if shape is None else near.shape.agreed(shape)
-        search = replace(search, shape=agreed)
-    search = with_targets(search)
+    search = with_defaults(search)
     _require_reach(search)
     return _ranked(search, outcomes(search, spread))
 

@@ -128,12 +128,16 @@ class SearchProblem:
         return {name: getattr(self, name) for name in names}
 
 
-def with_targets(search: SearchProblem) -> SearchProblem:
-    """Return the search with complete targets.
+def with_defaults(search: SearchProblem) -> SearchProblem:
+    """Return the search with the shape of its known orbit and with complete targets.
 
     For `NearestGains`, values without a target stay near their start, and the search starts where
     the targets can be reached.
     """
+    near, shape = search.near, search.shape
+    if near is not None:
+        agreed = near.phases_as if shape is None else near.shape.agreed(shape)
+        search = replace(search, shape=agreed)
     if isinstance(search.objective, NearestGains):
         values = clipped(search.values.replaced(search.objective.target), search.free)
         named = {**values.gains, **{name: values.number(name) for name in search.free}}

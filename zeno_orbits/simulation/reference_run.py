@@ -774,11 +774,9 @@ class ReferenceRun(StopRun):
             return None
         self.seen.require_no_switches(last, self.stop_name, end, self.own.time)
         self.seen.forget(*(self.graph.stop_names[k] for k in stops))
-        for way in ways:
-            error = max(error, way.rounding / (self.own.time + last))
-        ordered = sorted(zip(ways, stops, strict=True), key=lambda one: one[0].time)
-        self.events += [
-            ZenoPoint(
+        error = max(error, *(way.rounding / (self.own.time + last) for way in ways))
+        for way, k in sorted(zip(ways, stops, strict=True), key=lambda one: one[0].time):
+            point = ZenoPoint(
                 time=time + way.time,
                 state=self._held(closed, rested, way.time),
                 limit_error=error,
@@ -786,8 +784,7 @@ class ReferenceRun(StopRun):
                 last_speed=way.rebound,
                 stop=self.graph.stop_names[k],
             )
-            for way, k in ordered
-        ]
+            self.events.append(point)
         return self._at_rest(time, rested, last, end, closed)
 
     def _at_rest(
@@ -1236,8 +1233,8 @@ class ReferenceRun(StopRun):
     ) -> tuple[Kind, int]:
         """Return the event at the end of an arc, of all events whose guards are zero there.
 
-        A switch that rises, or is not armed, is not an event. A kink changes no state: an impact
-        does not depend on it: its side is taken after the impact. Impacts on stops that are not
+        A switch that rises, or is not armed, is not an event. A kink changes no state, so an impact
+        does not depend on it, and its side is taken after the impact. Impacts on stops that are not
         coupled change nothing for each other, so their order has no effect, nor has that of kinks
         that leave the flow as it is, nor has that of stops that open in every order. A kink comes
         before a release that takes place on both of its sides.
@@ -1248,8 +1245,7 @@ class ReferenceRun(StopRun):
         self.together = ()
         x, found = arc.end_state, self.interruption
         main = (Kind.MULTIPLIER if start.mode is Mode.LOCKED else Kind.GAP), self.focus
-        fell = main if found is None else (found.kind, found.index)
-        zero = [fell]
+        zero = [fell := main if found is None else (found.kind, found.index)]
         for guard in guards:
             event = guard.kind, guard.index
             if event == fell or (guard.on_guard and guard.kind is not Kind.GAP):
