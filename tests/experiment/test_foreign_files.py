@@ -10,7 +10,7 @@ import pytest
 
 import zeno_orbits as zo
 from zeno_orbits.errors import DataFileError, InputError
-from zeno_orbits.experiment import describe_recording, read_recording
+from zeno_orbits.experiment import description_of, read_recording
 
 G = 9.80665
 DEGREE = 0.017453292519943295
@@ -304,7 +304,7 @@ FILES = {
 def test_a_file_is_read_as_its_instrument_meant_it(name: str, tmp_path: Path) -> None:
     file, path = FILES[name], tmp_path / "data.csv"
     path.write_bytes(file.text if isinstance(file.text, bytes) else file.text.encode())
-    found = describe_recording(path, columns=file.notes)
+    found = description_of(path, columns=file.notes)
     assert found.recording is not None, found.trouble
     recording = found.recording
     assert (recording.time[0], recording.time[-1]) == pytest.approx(file.time, rel=1e-12)
@@ -406,7 +406,7 @@ def test_notes_that_do_not_fit_are_refused(name: str, tmp_path: Path) -> None:
     path = tmp_path / "data.csv"
     path.write_text("time [s],x [m]\n0,1\n1,2\n")
     with pytest.raises(InputError, match=reason):
-        describe_recording(path, columns=zo.ColumnNotes(**given))
+        description_of(path, columns=zo.ColumnNotes(**given))
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ def describe_recording(
         DataFileError: If the file is not a table of values.
         InputError: If the notes name a column that the file does not have.
     """
-    from zeno_orbits.experiment import describe_recording as describe
+    from zeno_orbits.experiment import description_of as describe
     from zeno_orbits.experiment import measurable
 
     known = None if problem is None else measurable(known_problem(problem))
@@ -96,7 +96,7 @@ def clock_words(first: RecordingDescription, second: RecordingDescription) -> st
         first: A file as it was understood.
         second: A second file of the same motion on another clock.
     """
-    from zeno_orbits.experiment import clock_words as told
+    from zeno_orbits.experiment import words_of_clocks as told
 
     known = first.recording, second.recording
     return "" if known[0] is None or known[1] is None else told(known[0], known[1])

@@ -19,7 +19,7 @@ from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correc
 from zeno_orbits.continuation.ends import locate_end
 from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.margins import VanishingMargin, stages, threats
-from zeno_orbits.continuation.return_maps import DifferentiatedReturn, ReturnMap
+from zeno_orbits.continuation.return_maps import DifferentiatedReturn, FamilyMap
 from zeno_orbits.continuation.special_points.special_points import Located, arclength
 from zeno_orbits.continuation.special_points.subdivision import (
     Subdivision,
@@ -89,7 +89,7 @@ _SOON = 1.0
 
 
 def follow_branch(
-    returns: ReturnMap,
+    returns: FamilyMap,
     metric: FamilyMetric,
     start: BranchPoint,
     box: tuple[float, float],
@@ -145,7 +145,7 @@ class _Follower:
 
     def __init__(
         self,
-        returns: ReturnMap,
+        returns: FamilyMap,
         metric: FamilyMetric,
         patience: float,
         box: tuple[float, float],

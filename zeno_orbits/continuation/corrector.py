@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
-from zeno_orbits.continuation.return_maps import DifferentiatedReturn, ReturnMap
+from zeno_orbits.continuation.return_maps import DifferentiatedReturn, FamilyMap
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.orbits import Section
 
@@ -120,7 +120,7 @@ class BranchPoint:
 
 
 def correct(
-    returns: ReturnMap,
+    returns: FamilyMap,
     metric: FamilyMetric,
     z: Vector,
     along: Vector,
@@ -179,7 +179,7 @@ def correct(
     )
 
 
-def corrected_again(returns: ReturnMap, metric: FamilyMetric, point: BranchPoint) -> BranchPoint:
+def corrected_again(returns: FamilyMap, metric: FamilyMetric, point: BranchPoint) -> BranchPoint:
     """Return a point after one more Newton correction, even if the correction is small.
 
     Args:
@@ -200,7 +200,7 @@ def corrected_again(returns: ReturnMap, metric: FamilyMetric, point: BranchPoint
     return correct(returns, metric, place, point.tangent)
 
 
-def evaluated(returns: ReturnMap, metric: FamilyMetric, z: Vector, along: Vector) -> BranchPoint:
+def evaluated(returns: FamilyMap, metric: FamilyMetric, z: Vector, along: Vector) -> BranchPoint:
     """Return the return map and its derivatives at a point, without a correction.
 
     Args:
@@ -222,7 +222,7 @@ def evaluated(returns: ReturnMap, metric: FamilyMetric, z: Vector, along: Vector
 
 
 def first_point(
-    returns: ReturnMap, metric: FamilyMetric, x: Vector, s: float, *, rising: bool
+    returns: FamilyMap, metric: FamilyMetric, x: Vector, s: float, *, rising: bool
 ) -> BranchPoint:
     """Return the point of the family at a parameter, with a tangent of a given sense.
 
@@ -242,7 +242,7 @@ def first_point(
     return correct(returns, metric, z, upwards)
 
 
-def returned(returns: ReturnMap, x: Vector, s: float, metric: FamilyMetric) -> DifferentiatedReturn:
+def returned(returns: FamilyMap, x: Vector, s: float, metric: FamilyMetric) -> DifferentiatedReturn:
     """Return the return from a state.
 
     Args:

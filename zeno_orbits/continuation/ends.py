@@ -16,7 +16,7 @@ from zeno_orbits.arrays import Vector, spectral_radius
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.lock_end import locate_cut
 from zeno_orbits.continuation.margins import ENDS, LEAST_POWER, VanishingMargin, causes, stages
-from zeno_orbits.continuation.return_maps import ReturnMap
+from zeno_orbits.continuation.return_maps import FamilyMap
 from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.continuation.special_points.subdivision import neville
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
@@ -24,7 +24,7 @@ from zeno_orbits.orbits import Margin, MarginKind
 
 
 def locate_end(
-    returns: ReturnMap,
+    returns: FamilyMap,
     metric: FamilyMetric,
     points: Sequence[BranchPoint],
     threat: VanishingMargin,
@@ -62,7 +62,7 @@ def locate_end(
 
 
 def _located(
-    returns: ReturnMap,
+    returns: FamilyMap,
     metric: FamilyMetric,
     points: Sequence[BranchPoint],
     threat: VanishingMargin,
@@ -90,7 +90,7 @@ def _falling(points: Sequence[BranchPoint], margin: Margin) -> list[BranchPoint]
 
 def _better(
     found: Located,
-    returns: ReturnMap,
+    returns: FamilyMap,
     metric: FamilyMetric,
     points: Sequence[BranchPoint],
     cause: VanishingMargin,
@@ -144,7 +144,7 @@ _GOOD = 1e-11
 
 
 def _approach(
-    returns: ReturnMap, metric: FamilyMetric, known: Sequence[BranchPoint], margin: Margin
+    returns: FamilyMap, metric: FamilyMetric, known: Sequence[BranchPoint], margin: Margin
 ) -> Located:
     """Return the limit of a sequence of points along which a margin is halved repeatedly."""
     nodes, unit = list(known), known[-1].found.time
@@ -205,7 +205,7 @@ def _approach(
 
 
 def _noise(
-    returns: ReturnMap, metric: FamilyMetric, nodes: Sequence[BranchPoint], margin: Margin
+    returns: FamilyMap, metric: FamilyMetric, nodes: Sequence[BranchPoint], margin: Margin
 ) -> float:
     """Return an estimate of the change of an end at a looser tolerance.
 
@@ -227,7 +227,7 @@ def _noise(
 
 
 def _halved(
-    returns: ReturnMap, metric: FamilyMetric, nodes: Sequence[BranchPoint], margin: Margin
+    returns: FamilyMap, metric: FamilyMetric, nodes: Sequence[BranchPoint], margin: Margin
 ) -> BranchPoint:
     """Return a point at which a margin is about half its value at the last point."""
     used = nodes[-_CURVE:]

@@ -16,7 +16,7 @@ import numpy as np
 from zeno_orbits.continuation.branch import Branch, follow_branch
 from zeno_orbits.continuation.corrector import BranchPoint, correct
 from zeno_orbits.continuation.families import HalfCurve, SpecialPointKind
-from zeno_orbits.continuation.return_maps import ReturnMap
+from zeno_orbits.continuation.return_maps import FamilyMap
 from zeno_orbits.continuation.setup import ContinuationSettings, Setup
 from zeno_orbits.continuation.two_parameters.boundary import half_boundary
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart, ParameterPlane
@@ -182,7 +182,7 @@ class FollowHalfCurve:
 
 def _followed(
     setup: Setup,
-    returns: ReturnMap,
+    returns: FamilyMap,
     start: BranchPoint,
     settings: ContinuationSettings,
     on_progress: Progress,

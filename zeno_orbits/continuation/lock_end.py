@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.families import SpecialPointKind
-from zeno_orbits.continuation.return_maps import ReturnMap
+from zeno_orbits.continuation.return_maps import FamilyMap
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.continuation.special_points.test_functions import multiplier_change, with_course
@@ -36,7 +36,7 @@ _FIRST_STEP = 1e-4
 
 
 def locate_cut(
-    returns: ReturnMap,
+    returns: FamilyMap,
     metric: FamilyMetric,
     last: BranchPoint,
     margin: Margin,
@@ -69,7 +69,7 @@ def locate_cut(
 
 
 def locate_cut_near(
-    returns: ReturnMap,
+    returns: FamilyMap,
     metric: FamilyMetric,
     z: Vector,
     along: Vector,
@@ -108,7 +108,7 @@ _BESIDE = 0.03
 
 
 def _cut_ever_later(
-    returns: ReturnMap,
+    returns: FamilyMap,
     metric: FamilyMetric,
     here: BranchPoint,
     n: int,
@@ -166,7 +166,7 @@ _MOST_CUTS = 16
 
 
 def _telling_cuts(
-    returns: ReturnMap, metric: FamilyMetric, last: BranchPoint, margin: Margin
+    returns: FamilyMap, metric: FamilyMetric, last: BranchPoint, margin: Margin
 ) -> Iterator[tuple[int, BranchPoint]]:
     """Yield the numbers of impacts, in ascending order, whose truncation has a positive margin.
 
@@ -185,7 +185,7 @@ def _telling_cuts(
 
 
 def _slope(
-    returns: ReturnMap, metric: FamilyMetric, point: BranchPoint, cut: Margin, step: float
+    returns: FamilyMap, metric: FamilyMetric, point: BranchPoint, cut: Margin, step: float
 ) -> float:
     """Return the derivative of the truncation's margin along the family."""
     for _ in range(6):
@@ -217,7 +217,7 @@ _MOST_CUT_SECANTS, _MOST_CUT_TRIALS = 12, 5
 
 
 def _cut_root(
-    returns: ReturnMap,
+    returns: FamilyMap,
     metric: FamilyMetric,
     start: BranchPoint,
     step: float,
@@ -245,7 +245,7 @@ def _cut_root(
 
 
 def _less(
-    returns: ReturnMap, metric: FamilyMetric, here: BranchPoint, distance: float, cut: Margin
+    returns: FamilyMap, metric: FamilyMetric, here: BranchPoint, distance: float, cut: Margin
 ) -> BranchPoint:
     """Return a point ahead with an acceptable margin, as far ahead as it can be computed.
 

@@ -108,7 +108,7 @@ class LazyMargins(Mapping[Margin, float]):
         return len(self._measured())
 
 
-class ReturnMap(Protocol):
+class FamilyMap(Protocol):
     """A section and its return map, along a line of parameters."""
 
     @property
@@ -174,15 +174,15 @@ class ReturnMap(Protocol):
         """
         ...
 
-    def loosened(self) -> ReturnMap:
+    def loosened(self) -> FamilyMap:
         """Return the same map at a looser tolerance. The change is an error estimate."""
         ...
 
-    def moved_to(self, line: Line) -> ReturnMap:
+    def moved_to(self, line: Line) -> FamilyMap:
         """Return the same map along another line."""
         ...
 
-    def cut_after(self, n_impacts: int) -> ReturnMap:
+    def cut_after(self, n_impacts: int) -> FamilyMap:
         """Return the same map with truncated impact sequences.
 
         Args:
@@ -367,7 +367,7 @@ class Composed:
         maps: The return maps, all with the same section and line.
     """
 
-    maps: tuple[ReturnMap, ...]
+    maps: tuple[FamilyMap, ...]
 
     @property
     def line(self) -> Line:

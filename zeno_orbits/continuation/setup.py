@@ -9,7 +9,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import FamilySteps
 from zeno_orbits.continuation.corrector import FamilyMetric
-from zeno_orbits.continuation.return_maps import PATIENCE, Composed, EventReturns, ReturnMap
+from zeno_orbits.continuation.return_maps import PATIENCE, Composed, EventReturns, FamilyMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, ParameterPlane
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
@@ -69,7 +69,7 @@ class Setup:
     simulation: SimulationSettings
     n_returns: int = ONE_RETURN
 
-    def returns(self, problem: Problem) -> ReturnMap:
+    def returns(self, problem: Problem) -> FamilyMap:
         """Return the return map under which the orbits close."""
         line = line_in(problem, np.array(self.values.vector), self.parameter)
         once = EventReturns(

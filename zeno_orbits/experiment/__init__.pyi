@@ -21,14 +21,14 @@ from .orbit_table import OrbitTable as OrbitTable
 from .orbit_table import PeriodTable as PeriodTable
 from .orbit_table import measurable as measurable
 from .orbit_table import tabulate_orbit as tabulate_orbit
-from .recordings.clocks import clock_words as clock_words
+from .recordings.clocks import words_of_clocks as words_of_clocks
 from .recordings.columns import Column as Column
 from .recordings.columns import ColumnNotes as ColumnNotes
 from .recordings.contacts import CONTACT as CONTACT
 from .recordings.contacts import contact_channels as contact_channels
 from .recordings.contacts import contact_names as contact_names
 from .recordings.description import RecordingDescription as RecordingDescription
-from .recordings.description import describe_recording as describe_recording
+from .recordings.description import description_of as description_of
 from .recordings.recording import RecordedSignal as RecordedSignal
 from .recordings.recording import Recording as Recording
 from .recordings.recording import Source as Source

@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.families import SpecialPointKind
-from zeno_orbits.continuation.return_maps import ReturnMap
+from zeno_orbits.continuation.return_maps import FamilyMap
 from zeno_orbits.continuation.special_points.test_functions import (
     INSIDE,
     TestFunction,
@@ -64,7 +64,7 @@ _REAL = 1e-6
 
 
 def locate_inside(
-    returns: ReturnMap, metric: FamilyMetric, a: BranchPoint, b: BranchPoint, kind: SpecialPointKind
+    returns: FamilyMap, metric: FamilyMetric, a: BranchPoint, b: BranchPoint, kind: SpecialPointKind
 ) -> Located | None:
     """Return the special point between two neighbours, or ``None`` without a bifurcation.
 
@@ -137,7 +137,7 @@ def _located(kind: SpecialPointKind, root: Root, metric: FamilyMetric) -> Locate
 
 
 def root_between(
-    returns: ReturnMap, metric: FamilyMetric, a: BranchPoint, b: BranchPoint, test: TestFunction
+    returns: FamilyMap, metric: FamilyMetric, a: BranchPoint, b: BranchPoint, test: TestFunction
 ) -> Root:
     """Return the root of a test function between two points at which its signs differ.
 
@@ -183,7 +183,7 @@ _MOST_SECANTS = 15
 
 
 def located_near(
-    returns: ReturnMap,
+    returns: FamilyMap,
     metric: FamilyMetric,
     start: BranchPoint,
     kind: SpecialPointKind,
@@ -225,7 +225,7 @@ is due to rounding."""
 
 
 def _root(
-    returns: ReturnMap, metric: FamilyMetric, point: BranchPoint, test: TestFunction, slope: float
+    returns: FamilyMap, metric: FamilyMetric, point: BranchPoint, test: TestFunction, slope: float
 ) -> Root:
     """Return a root with its errors, which are the changes at a looser tolerance."""
     try:

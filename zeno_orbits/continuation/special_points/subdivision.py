@@ -10,7 +10,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, Course, FamilyMetric, correct
-from zeno_orbits.continuation.return_maps import ReturnMap
+from zeno_orbits.continuation.return_maps import FamilyMap
 from zeno_orbits.continuation.special_points.hermite import Count, Node, zeros_between
 from zeno_orbits.continuation.special_points.special_points import (
     Located,
@@ -39,7 +39,7 @@ class Subdivision:
 
 
 def subdivided(
-    returns: ReturnMap,
+    returns: FamilyMap,
     metric: FamilyMetric,
     before: BranchPoint,
     after: BranchPoint,
@@ -166,7 +166,7 @@ def _nodes(point: BranchPoint, place: float) -> tuple[Node, ...]:
 
 
 def _inside(
-    returns: ReturnMap, metric: FamilyMetric, before: BranchPoint, after: BranchPoint, part: float
+    returns: FamilyMap, metric: FamilyMetric, before: BranchPoint, after: BranchPoint, part: float
 ) -> BranchPoint:
     """Return the point of the family at a fraction of a step."""
     place: Vector = place_between(before, after, part)

@@ -17,7 +17,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, Course, FamilyMetric, evaluated
 from zeno_orbits.continuation.families import SpecialPointKind
-from zeno_orbits.continuation.return_maps import ReturnMap
+from zeno_orbits.continuation.return_maps import FamilyMap
 from zeno_orbits.errors import ZenoOrbitsError
 
 TestFunction = Callable[[BranchPoint], float]
@@ -63,7 +63,7 @@ _PART, _SHORTEST, _LONGEST = 1e-3, 1e-7, 1e-5
 
 
 def with_course(
-    returns: ReturnMap, metric: FamilyMetric, point: BranchPoint, step: float
+    returns: FamilyMap, metric: FamilyMetric, point: BranchPoint, step: float
 ) -> BranchPoint:
     """Return a point with its test functions, their derivatives along the family and their errors.
 
@@ -111,7 +111,7 @@ def _values(point: BranchPoint) -> Vector:
 
 
 def _errors(
-    returns: ReturnMap, metric: FamilyMetric, point: BranchPoint, values: Vector
+    returns: FamilyMap, metric: FamilyMetric, point: BranchPoint, values: Vector
 ) -> tuple[Vector, float]:
     """Return the changes of test functions and multipliers at a looser tolerance."""
     try:

@@ -18,7 +18,7 @@ from zeno_orbits.continuation.ends import locate_end
 from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.lock_end import locate_cut_near
 from zeno_orbits.continuation.margins import ENDS, Stage, VanishingMargin, meeting
-from zeno_orbits.continuation.return_maps import ReturnMap
+from zeno_orbits.continuation.return_maps import FamilyMap
 from zeno_orbits.continuation.special_points.special_points import (
     INSIDE,
     Located,
@@ -195,7 +195,7 @@ class SecantCurve:
         new_at = at + located.z[-1] * across
         return SpecialCurvePoint(at=new_at, located=located, before=before)
 
-    def _inside(self, returns: ReturnMap, z: Vector) -> Located:
+    def _inside(self, returns: FamilyMap, z: Vector) -> Located:
         normal = np.zeros(z.size)
         normal[-1] = 1.0
         start = correct(returns, self.metric, z, normal)
@@ -204,7 +204,7 @@ class SecantCurve:
 
     def _end(
         self,
-        returns: ReturnMap,
+        returns: FamilyMap,
         z: Vector,
         last: SpecialCurvePoint,
         across: Vector,
@@ -229,7 +229,7 @@ class SecantCurve:
         return located, before
 
     def _ahead(
-        self, returns: ReturnMap, z: Vector, before: ApproachPoint, across: Vector
+        self, returns: FamilyMap, z: Vector, before: ApproachPoint, across: Vector
     ) -> BranchPoint:
         """Return the point before an end that corresponds to a point before the last end."""
         place = float(before.away @ across)

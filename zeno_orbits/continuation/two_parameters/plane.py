@@ -8,7 +8,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric
-from zeno_orbits.continuation.return_maps import ReturnMap
+from zeno_orbits.continuation.return_maps import FamilyMap
 from zeno_orbits.continuation.special_points.special_points import Located
 from zeno_orbits.orbits import Line, StepControl
 from zeno_orbits.work import Progress
@@ -85,12 +85,12 @@ class CurveSetup:
     """
 
     plane: ParameterPlane
-    returns: ReturnMap
+    returns: FamilyMap
     metric: FamilyMetric
     steps: CurveSteps
     on_progress: Progress
 
-    def returns_on(self, at: Vector, direction: Vector) -> ReturnMap:
+    def returns_on(self, at: Vector, direction: Vector) -> FamilyMap:
         """Return the return map on the line through a point in a direction, both ``(2,)``."""
         return self.returns.moved_to(self.plane.line(at, direction))
 

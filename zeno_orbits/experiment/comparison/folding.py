@@ -152,7 +152,7 @@ class Folded:
         return total
 
 
-def joined(first: Folded, second: Folded) -> Folded:
+def folded_together(first: Folded, second: Folded) -> Folded:
     """Return the samples of two files on their own clocks, each with its own channels."""
     n, n_s = first.values.shape
     m, m_s = second.values.shape

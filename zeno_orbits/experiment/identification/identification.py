@@ -35,8 +35,8 @@ from zeno_orbits.experiment.identification.prepared import (
     Prepared,
     UnfittableError,
     prepared,
+    prepared_together,
     refusal,
-    with_second,
 )
 from zeno_orbits.experiment.identification.stationarity import unsteady
 from zeno_orbits.experiment.identification.uncertainty import Unseen, unseen_combinations
@@ -221,7 +221,7 @@ def fit_parameters(
     asked = [*sought] if second is None else [*sought, _DELAY]
     unknowns = unknowns_of(problem, begin, asked)
     files = _prepared(problem, begin, unknowns, recording, second, on_progress)
-    whole = files[0][1] if second is None else with_second(files[0][1], files[1][1])
+    whole = files[0][1] if second is None else prepared_together(files[0][1], files[1][1])
     unknowns = whole.orbits.unknowns
     labels = [one.label for one in sought]
     seen = _restitution_seen(unknowns, sought, whole.restitution)

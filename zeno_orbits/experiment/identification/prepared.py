@@ -12,7 +12,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.comparison import compare_recording
-from zeno_orbits.experiment.comparison.folding import Folded, folded, joined
+from zeno_orbits.experiment.comparison.folding import Folded, folded, folded_together
 from zeno_orbits.experiment.comparison.instruments import corrected
 from zeno_orbits.experiment.comparison.overlay import shared_signals
 from zeno_orbits.experiment.identification.contact_rows import (
@@ -91,7 +91,7 @@ def prepared(
     return own(problem, begin, unknowns, recording, on_progress)
 
 
-def with_second(first: Prepared, second: Prepared) -> Prepared:
+def prepared_together(first: Prepared, second: Prepared) -> Prepared:
     """Return the beginning of a fit of two files of one orbit, each on its own clock.
 
     Args:
@@ -101,7 +101,7 @@ def with_second(first: Prepared, second: Prepared) -> Prepared:
     return replace(
         first,
         orbits=first.orbits.of_both(second.orbits),
-        samples=joined(first.samples, second.samples),
+        samples=folded_together(first.samples, second.samples),
     )
 
 

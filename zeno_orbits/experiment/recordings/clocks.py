@@ -29,7 +29,7 @@ _STILL = 0.05
 _TINY = 1e-300
 
 
-def clock_words(first: Recording, second: Recording) -> str:
+def words_of_clocks(first: Recording, second: Recording) -> str:
     """Return what shared signals tell of the clock of a second recording.
 
     Args:

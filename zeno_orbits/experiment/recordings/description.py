@@ -105,7 +105,7 @@ class RecordingDescription:
 
 
 @checked
-def describe_recording(
+def description_of(
     path: Path | str,
     *,
     columns: ColumnNotes | None = None,

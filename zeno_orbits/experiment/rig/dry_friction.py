@@ -117,7 +117,7 @@ def _from(column: ca.SX, first: int) -> ca.SX:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HeldMotion:
+class HeldFlow:
     """The motion of a machine with its dry friction, in symbols.
 
     Attributes:
@@ -133,7 +133,7 @@ class HeldMotion:
 
 def held_motion(
     parts: DryParts, v: ca.SX, inverse_mass: ca.SX, acceleration: ca.SX, drift: ca.SX
-) -> HeldMotion:
+) -> HeldFlow:
     """Return the motion of a machine with its dry friction.
 
     Args:
@@ -155,7 +155,7 @@ def held_motion(
     load = ca.vertcat(
         parts.rates, free, parts.torques, parts.static, ca.vec(delassus.T), ca.vec(rows.T)
     )
-    return HeldMotion(
+    return HeldFlow(
         acceleration=acceleration + ca.mtimes(response, forces), forces=forces, load=load
     )
 
@@ -187,7 +187,7 @@ class DryLoad:
         """Return what a column of numbers says.
 
         Args:
-            column: The column of `HeldMotion.load`.
+            column: The column of `HeldFlow.load`.
             n_parts: Number of parts.
             v: Velocities, ``(n_q,)``.
             scales: Their scales, ``(n_q,)``.

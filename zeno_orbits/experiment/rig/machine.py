@@ -21,7 +21,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.rig.dry_friction import (
     GUARDS_PER_PART,
     DryParts,
-    HeldMotion,
+    HeldFlow,
     held_motion,
 )
 from zeno_orbits.experiment.rig.forces import (
@@ -411,7 +411,7 @@ class _Parts:
         sides = ca.SX.zeros(self.dry.added.numel())
         return ca.vertcat(self._mechanism.v, acceleration, *motion.further, sides)
 
-    def stuck(self, touched: Sequence[int]) -> HeldMotion:
+    def stuck(self, touched: Sequence[int]) -> HeldFlow:
         """Return the motion with the parts that stick held."""
         q, v = self._mechanism.q, self._mechanism.v
         motion = self._motion(touched)

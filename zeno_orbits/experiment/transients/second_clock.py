@@ -192,7 +192,7 @@ def _likeness(
     return float(np.mean(found))
 
 
-def clock_words(shooting: Shooting, found: StagedFit) -> Iterator[str]:
+def offset_words(shooting: Shooting, found: StagedFit) -> Iterator[str]:
     """Yield what a fit tells of the clocks of second files.
 
     Args:

@@ -38,7 +38,7 @@ from zeno_orbits.experiment.transients.intervals import (
 from zeno_orbits.experiment.transients.motion import SETTINGS, TransientMotion
 from zeno_orbits.experiment.transients.residual_tests import ResidualTests, tested
 from zeno_orbits.experiment.transients.scattered_impacts import MixedFit, mixed_fit
-from zeno_orbits.experiment.transients.second_clock import SecondFile, clock_words, with_second
+from zeno_orbits.experiment.transients.second_clock import SecondFile, offset_words, with_second
 from zeno_orbits.experiment.transients.seen_impacts import held_until
 from zeno_orbits.experiment.transients.shooting import (
     Shooting,
@@ -890,7 +890,7 @@ def _remarks(
     widened: bool,
 ) -> list[str]:
     remarks = [word for one in shooting.trials for word in one.remarks]
-    remarks += clock_words(shooting, found)
+    remarks += offset_words(shooting, found)
     many = len(trials) > 1
     for one in trials:
         remarks += [f"{one.label}: {w}" if many else w for w in (*one.missed, *one.false)]
