@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -85,6 +86,17 @@ def run(words: list[str], path: Path) -> subprocess.CompletedProcess[str]:
 def test_every_benchmark_is_run_in_a_reduced_form() -> None:
     # `memory` has a test of its own.
     assert {script.stem for script in SCRIPTS} == set(REDUCED) | TOOLS | {"memory"}
+
+
+def test_every_benchmark_that_a_document_names_exists() -> None:
+    named = {
+        (path, page.name)
+        for page in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"))
+        for path in re.findall(r"benchmarks/[\w/]+\.py", page.read_text(encoding="utf-8"))
+        if page.name != "CHANGELOG.md"
+    }
+    assert len(named) > 20
+    assert [one for one in sorted(named) if not (ROOT / one[0]).is_file()] == []
 
 
 @pytest.mark.slow
