@@ -333,13 +333,12 @@ def test_period_and_multipliers_do_not_depend_on_the_section(problem: str) -> No
         assert sizes[1] == pytest.approx(sizes[0], abs=1e-9)
 
 
-@pytest.mark.parametrize("section", [None, "zeno stop"])
-def test_a_machine_with_one_stop_has_the_same_orbit_from_each_section(section: str | None) -> None:
+def test_a_machine_with_one_stop_has_the_same_orbit_from_each_section() -> None:
     numbers = {"Kp": 2.5, "Kd": -1.0}
-    events = zo.find_orbit("motor_pendulum", gains=numbers, section=section).unwrap()
+    events = zo.find_orbit("motor_pendulum", gains=numbers, section="zeno stop").unwrap()
     phases = zo.find_orbit("motor_pendulum", gains=numbers).unwrap()
-    assert events.section == (section or "release stop")
-    assert events.has_phases == (section is None)
+    assert (events.section, phases.section) == ("zeno stop", "release stop")
+    assert (events.has_phases, phases.has_phases) == (False, True)
     assert events.period == pytest.approx(phases.period, rel=1e-11)
     assert events.certificate["passed"]
     largest = abs(events.floquet_multipliers[0])

@@ -248,15 +248,6 @@ def test_one_stop_is_searched_for_a_bound_on_an_event_and_for_the_least_loss() -
     assert least.value == pytest.approx(loss, rel=1e-7)
 
 
-@pytest.mark.slow
-def test_a_corrected_drive_has_one_orbit_by_events_and_by_phases() -> None:
-    by_events = zo.find_orbit("motor_pendulum@corrected").unwrap()
-    by_phases = zo.find_orbit("motor_pendulum@corrected").orbit
-    assert by_events.certificate["passed"]
-    assert by_phases is not None
-    assert by_events.period == pytest.approx(by_phases.period, rel=1e-11)
-
-
 # A relay whose voltage is cut at t1 and comes back at t2. The numbers are from a simplex search in
 # a program that shares no code with this one.
 
