@@ -16,7 +16,7 @@ import zeno_orbits as zo
 from tests.maps.test_two_walls import law_machine_of, problem_of
 from tests.reference import library_truth as truth
 from tests.support.impact_laws import LAWS, ball
-from tests.support.orbits import event_orbit, shot_orbit
+from tests.support.orbits import shot_orbit
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits import EventQuantities, closed_return, digest_of, same_equations
 from zeno_orbits.simulation import SimulationSettings
@@ -32,11 +32,7 @@ def _marble() -> zo.Orbit:
 
 def test_all_searches_find_the_same_orbit() -> None:
     known = truth.vibrating_table(dict(_marble().parameters))
-    for orbit in (
-        _marble(),
-        shot_orbit("marble_table"),
-        event_orbit("marble_table"),
-    ):
+    for orbit in (_marble(), shot_orbit("marble_table")):
         assert orbit.zeno_time == pytest.approx(float(known.zeno_time), rel=OF_CLOSING)
         assert zo.verify(orbit).passed
 

@@ -7,7 +7,7 @@ law, as if the simulator had this law wrong.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 
 import zeno_orbits as zo
+from tests.support.false_limits import FalseLimit
 from tests.support.mechanisms import machine_of
 from tests.support.orbits import event_orbit
 from zeno_orbits import StateLimit
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Automatic, Segment, SegmentResult, Tolerance
 from zeno_orbits.model import GraphDynamics, GraphMode, HybridDynamics, load_problem
-from zeno_orbits.simulation import TailEstimate, ZenoExtrapolation, ZenoLimit
 from zeno_orbits.verification import CHECKS, OrbitCertificate, VerificationSettings
 
 QUICK = VerificationSettings(n_periods=1)
@@ -149,23 +149,10 @@ class _Plain:
         return Automatic().follow(leg)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Late(ZenoExtrapolation):
-    """The extrapolated limit, late by a time."""
-
-    delay: float
-
-    def limit(
-        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
-    ) -> ZenoLimit | None:
-        limit = ZenoExtrapolation().limit(dynamics, estimates)
-        return None if limit is None else replace(limit, time=limit.time + self.delay)
-
-
 @pytest.mark.parametrize("name", [MACHINES[0], *SLOWLY[1:]])
 @pytest.mark.parametrize("delay", [0.0, 1e-6])
 def test_a_wrong_zeno_limit_is_not_what_the_cuts_tend_to(name: str, delay: float) -> None:
-    simulation = zo.SimulationSettings(engine=_Plain(), completion=_Late(delay=delay))
+    simulation = zo.SimulationSettings(engine=_Plain(), completion=FalseLimit(delay=delay))
     seen = zo.verify(_orbit(name), settings=replace(QUICK, simulation=simulation))
     assert {"zeno_point", "delta_sweep"} <= set(seen.failed) if delay else seen.passed
 
@@ -278,29 +265,11 @@ def test_a_closed_stop_that_pulls_in_an_impact_fails_alone() -> None:
     assert seen.failed == ("impulses",)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _OffOnce(ZenoExtrapolation):
-    """The extrapolated limit, with another state between two times only."""
-
-    since: float
-    until: float
-
-    def limit(
-        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
-    ) -> ZenoLimit | None:
-        limit = ZenoExtrapolation().limit(dynamics, estimates)
-        if limit is None or not self.since < limit.time < self.until:
-            return limit
-        state = limit.state.copy()
-        state[1] += 1e-6
-        return replace(limit, state=state)
-
-
 @pytest.mark.slow
 def test_a_later_period_that_goes_elsewhere_fails_alone() -> None:
     orbit = _orbit("kneed_walker")
     since = orbit.period + 0.5 * orbit.events[0].time
-    completion = _OffOnce(since=since, until=since + orbit.period)
+    completion = FalseLimit(place=1, off=1e-6, since=since, until=since + orbit.period)
     off = zo.SimulationSettings(engine=_Plain(), completion=completion)
     settings = replace(QUICK, n_periods=2, simulation=off)
     assert zo.verify(orbit, settings=settings).failed == ("drift",)

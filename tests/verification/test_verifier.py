@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +18,7 @@ import zeno_orbits as zo
 from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD
 from tests.reference.shaken_truth import DIGITS, Table, throw
+from tests.support.false_limits import FalseLimit
 from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits import StateLimit, hybrid_system
@@ -31,9 +32,7 @@ from zeno_orbits.simulation import (
     Execution,
     Mode,
     SimulationSettings,
-    TailEstimate,
     ZenoExtrapolation,
-    ZenoLimit,
     simulate,
 )
 from zeno_orbits.verification import (
@@ -535,40 +534,11 @@ def test_a_return_that_a_looser_integration_does_not_confirm_fails_alone(
     assert seen.residuals["integration"] == pytest.approx(seen.integration_error, rel=1e-3)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Late(ZenoExtrapolation):
-    """The extrapolated limit, late by a time."""
-
-    delay: float
-
-    def limit(
-        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
-    ) -> ZenoLimit | None:
-        limit = ZenoExtrapolation().limit(dynamics, estimates)
-        return None if limit is None else replace(limit, time=limit.time + self.delay)
-
-
 @pytest.mark.slow
 def test_a_wrong_zeno_limit_is_not_what_the_cuts_tend_to(orbit: Orbit, problem: Problem) -> None:
-    late = SimulationSettings(completion=_Late(delay=1e-6))
+    late = SimulationSettings(completion=FalseLimit(delay=1e-6))
     seen = verify(orbit, problem, settings=replace(QUICK, simulation=late))
     assert {"zeno_point", "delta_sweep", "period"} <= set(seen.failed)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _LateOnce(ZenoExtrapolation):
-    """The extrapolated limit, late between two times only."""
-
-    since: float
-    until: float
-
-    def limit(
-        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
-    ) -> ZenoLimit | None:
-        limit = ZenoExtrapolation().limit(dynamics, estimates)
-        if limit is None or not self.since < limit.time < self.until:
-            return limit
-        return replace(limit, time=limit.time + 1e-6)
 
 
 @pytest.mark.parametrize("place", [0, 1])
@@ -578,7 +548,7 @@ def test_one_wrong_zeno_limit_of_two_is_enough(place: int) -> None:
     times = [phase.zeno_time or math.nan for phase in orbit.phases]
     assert len(times) == 2
     assert verify(orbit, table, settings=QUICK).passed
-    late = _LateOnce(since=times[place] - 1e-3, until=times[place] + 1e-3)
+    late = FalseLimit(delay=1e-6, since=times[place] - 1e-3, until=times[place] + 1e-3)
     simulation = SimulationSettings(completion=late)
     seen = verify(orbit, table, settings=replace(QUICK, simulation=simulation))
     assert {"zeno_point", "delta_sweep"} <= set(seen.failed)
@@ -591,7 +561,7 @@ def test_the_cuts_go_on_where_the_locked_arc_is_about_to_vanish(problem: Problem
     assert seen.passed
     assert len(seen.delta_sweep) > len(VerificationSettings().cuts)
     assert seen.delta_sweep[-1].error < seen.tolerance / 10
-    late = SimulationSettings(completion=_Late(delay=1e-6))
+    late = SimulationSettings(completion=FalseLimit(delay=1e-6))
     assert "delta_sweep" in verify(near, problem, settings=replace(QUICK, simulation=late)).failed
 
 
@@ -653,7 +623,7 @@ def test_a_motion_that_does_not_come_back_fails_at_its_end_alone(
 
 def test_a_later_period_that_goes_elsewhere_fails_alone(orbit: Orbit, problem: Problem) -> None:
     since = orbit.period + 0.5 * orbit.zeno_time
-    completion = _OffOnce(since=since, until=since + orbit.period)
+    completion = FalseLimit(off=1e-6, since=since, until=since + orbit.period)
     off = replace(QUICK.simulation, completion=completion)
     settings = replace(QUICK, n_periods=3, simulation=off)
     seen = verify(orbit, problem, settings=settings)
@@ -693,24 +663,6 @@ class _HastyAtTheEnd:
         hasty = leg.flow is self.flow and leg.horizon < self.end
         coarse = Tolerance(relative=1e-5, absolute=1e-6)
         return Automatic().follow(replace(leg, tolerance=coarse) if hasty else leg)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _OffOnce(ZenoExtrapolation):
-    """The extrapolated limit, with another state between two times only."""
-
-    since: float
-    until: float
-
-    def limit(
-        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
-    ) -> ZenoLimit | None:
-        limit = ZenoExtrapolation().limit(dynamics, estimates)
-        if limit is None or not self.since < limit.time < self.until:
-            return limit
-        state = limit.state.copy()
-        state[0] += 1e-6
-        return replace(limit, state=state)
 
 
 def _locked_of(orbit: Orbit, machine: HybridDynamics) -> Vector:
