@@ -23,6 +23,7 @@ from tests.support.contactless import (
     wheel,
     wheel_motion,
 )
+from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment import (
     ComparisonVerdict,
     RecordedSignal,
@@ -59,7 +60,7 @@ def _recording(
     """Return a recording of one motion, or of several in turn."""
     problem, random = _orbit(name)[0], np.random.default_rng(seed)
     ends = np.cumsum([one[0] for one in motions])
-    time = 3.0 + np.arange(int(samples * cycles)) * motions[0][0] / samples
+    time: Vector = 3.0 + np.arange(int(samples * cycles)) * motions[0][0] / samples
     since = np.mod(time - 2.9, ends[-1])
     turn = np.searchsorted(ends, since, side="right")
     values = np.zeros((len(time), len(problem.state_names)))
@@ -130,6 +131,22 @@ def test_a_recording_reversed_in_time_is_no_orbit(name: str) -> None:
     found = _compared(name, replace(forward, signals=signals))
     assert found.verdict is NONE
     assert "backward" in found.reasons[0] or "sign reversed" in found.reasons[0]
+
+
+@pytest.mark.slow
+def test_eight_bits_hide_no_difference_that_is_larger_than_half_a_step() -> None:
+    exact = _recording("escapement", (escapement_motion(),), chosen=("x",), samples=312.8)
+    row = exact.signals[0].values
+    step = float(np.ptp(row)) / 256
+    rounded: Vector = step * np.rint(row / step)
+    verdicts: dict[int, zo.Comparison] = {}
+    for direction in (1, -1):
+        signal = replace(exact.signals[0], values=rounded[::direction].copy())
+        verdicts[direction] = _compared("escapement", replace(exact, signals=(signal,)))
+    assert verdicts[1].verdict is THIS
+    # Root mean square of x(t) - x(s - t) at the best s, by correlation of 20,000 exact samples.
+    assert verdicts[-1].metric("rms deviation of x").data == pytest.approx(0.0085466, rel=0.05)
+    assert "backward" in verdicts[-1].reasons[0]
 
 
 @pytest.mark.parametrize(

@@ -147,7 +147,7 @@ def aligned(
     waves = np.fft.rfft(table.at(grid)[:, : data.shape[1]], axis=0)
     waves[found.n_harmonics + 1 :] = 0.0
     model = np.asarray(np.fft.irfft(waves, _PHASES, axis=0), dtype=np.float64)
-    noticed = [_NOTICED * float(found.noise[k]) + step_of(values[k]) for k in range(len(names))]
+    noticed = [_NOTICED * float(found.noise[k]) + step_of(values[k]) / 2 for k in range(len(names))]
     shift, alike, likeness = _compared(names, model, data, noticed)
     ratio = found.period / table.period
     release = time[0] - shift / _PHASES * found.period
@@ -169,7 +169,7 @@ def aligned(
         likeness=tuple(likeness),
         time_suspicion=_like_factor(ratio, _TIME_FACTORS),
         backward=found.n_harmonics >= _DIRECTED
-        and _coarse(model[::-1], data)[2] > alike + _BACKWARD,
+        and _is_backward(alike, likeness, _compared(names, model[::-1], data, noticed)),
         swapped=_swapped(names, model, data, noticed, likeness),
     )
 
@@ -191,6 +191,14 @@ def _compared(
         for k, name in enumerate(names)
     ]
     return shift, alike, likeness
+
+
+def _is_backward(
+    alike: float, likeness: Sequence[Likeness], back: tuple[int, float, list[Likeness]]
+) -> bool:
+    """Return whether the orbit reversed in time is more like a recording than the orbit is."""
+    only_back = any(one.differs for one in likeness) and not any(one.differs for one in back[2])
+    return only_back or back[1] > alike + _BACKWARD
 
 
 def _swapped(

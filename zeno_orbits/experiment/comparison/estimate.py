@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,10 +16,17 @@ _EVEN = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A value and its standard error, both NaN if the recording does not determine the value."""
+    """A value and its standard error, both NaN if the recording does not determine the value.
+
+    Attributes:
+        value: The value.
+        error: Standard error, including the rounding.
+        rounding: Largest error by the rounding of samples.
+    """
 
     value: float
     error: float
+    rounding: float = 0.0
 
     @property
     def known(self) -> bool:
@@ -28,7 +35,11 @@ class Estimate:
 
     def unsure(self, error: float) -> Estimate:
         """Return it with a further error."""
-        return Estimate(value=self.value, error=math.hypot(self.error, error))
+        return replace(self, error=math.hypot(self.error, error))
+
+    def rounded(self, most: float) -> Estimate:
+        """Return it with the largest error by the rounding of samples."""
+        return replace(self.unsure(most), rounding=most)
 
 
 UNKNOWN = Estimate(value=math.nan, error=math.nan)

@@ -26,6 +26,7 @@ class Metric:
         orbit: Value for the orbit.
         data: Value for the record, NaN if the record does not determine it.
         error: Standard error of the record's value, NaN if it is unknown.
+        rounding: Largest error by the rounding of samples, which is part of the standard error.
     """
 
     name: str
@@ -33,6 +34,12 @@ class Metric:
     orbit: float
     data: float
     error: float
+    rounding: float = 0.0
+
+    def largest_error(self, multiple: float) -> float:
+        """Return a multiple of the random error, plus the largest error by rounding."""
+        random = math.sqrt(max(self.error**2 - self.rounding**2, 0.0))
+        return multiple * random + self.rounding
 
     def as_json(self) -> dict[str, Any]:
         """Return the quantity as plain data, with null for unknown values."""
@@ -78,7 +85,14 @@ def metric(name: str, unit: str, orbit: float, found: Estimate) -> Metric:
         orbit: Value for the orbit.
         found: Value for the record, with its standard error.
     """
-    return Metric(name=name, unit=unit, orbit=orbit, data=found.value, error=found.error)
+    return Metric(
+        name=name,
+        unit=unit,
+        orbit=orbit,
+        data=found.value,
+        error=found.error,
+        rounding=found.rounding,
+    )
 
 
 def contact_metrics(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ def signal_metrics(problem: Problem, found: Deviations, names: Sequence[str]) ->
         own, unit = found.fine[:, :, k], units[name]
         # Rounding is no noise: samples at one phase of all cycles may be rounded alike.
         rounding = float(found.rounding[k])
-        highest, lowest = (_at_least(apex(found, k, sign), rounding) for sign in (1.0, -1.0))
+        highest, lowest = (apex(found, k, sign).rounded(rounding) for sign in (1.0, -1.0))
         yield metric(f"highest of {name}", unit, float(own.max()), highest)
         yield metric(f"lowest of {name}", unit, float(own.min()), lowest)
         for part, chosen in parts.items():
@@ -113,8 +114,9 @@ def root_mean_square(found: Deviations, signal: int, chosen: NDArray[np.bool_]) 
             return math.nan
         return math.sqrt(max(float(np.mean(known**2)) - white, 0.0))
 
-    one = _at_least(found.estimate(size), float(found.rounding[signal]))
-    return _at_least(one, limit / 2.0) if one.value < 2.0 * limit else one
+    one = found.estimate(size)
+    one = _at_least(one, limit / 2.0) if one.value < 2.0 * limit else one
+    return one.rounded(float(found.rounding[signal]))
 
 
 def greatest(found: Deviations, signal: int) -> Estimate:
@@ -127,11 +129,12 @@ def greatest(found: Deviations, signal: int) -> Estimate:
         return UNKNOWN
     at = int(np.argmax(np.where(seen, np.abs(found.average[:, signal]), -1.0)))
     one = found.estimate(lambda average: float(average[at, signal]))
-    return _at_least(one, max(_of_many(found.noises[seen, signal]), float(found.rounding[signal])))
+    one = _at_least(one, _of_many(found.noises[seen, signal]))
+    return one.rounded(float(found.rounding[signal]))
 
 
 def _at_least(one: Estimate, error: float) -> Estimate:
-    return Estimate(value=one.value, error=max(one.error, error))
+    return replace(one, error=max(one.error, error))
 
 
 def apex(found: Deviations, signal: int, sign: float) -> Estimate:
@@ -401,6 +404,6 @@ def portrait_distance(found: Deviations, portrait: Portrait) -> tuple[Estimate, 
     else:
         upwards = slope_noises(found.noises[:, rate_of], found.period / N_BINS) / size[1]
         coarse[1] *= N_BINS / found.period
-    rounding = float(np.max(coarse))
-    largest = _at_least(largest, max(_of_many(np.maximum(across, upwards)), rounding))
-    return _at_least(mean, rounding), largest
+    rounding = float(np.hypot(*coarse))
+    largest = _at_least(largest, _of_many(np.maximum(across, upwards)))
+    return mean.rounded(rounding), largest.rounded(rounding)

@@ -152,7 +152,7 @@ def _beyond_chance(
     return tuple(
         one
         for one in known
-        if abs(one.data - one.orbit) > max(most * one.error, _FINEST * size(one))
+        if abs(one.data - one.orbit) > max(one.largest_error(most), _FINEST * size(one))
     )
 
 
