@@ -60,7 +60,9 @@ def _recording(
     """Return a recording of one motion, or of several in turn."""
     problem, random = _orbit(name)[0], np.random.default_rng(seed)
     ends = np.cumsum([one[0] for one in motions])
-    time: Vector = 3.0 + np.arange(int(samples * cycles)) * motions[0][0] / samples
+    time = 3.0 + np.asarray(
+        np.arange(int(samples * cycles)) * motions[0][0] / samples, dtype=np.float64
+    )
     since = np.mod(time - 2.9, ends[-1])
     turn = np.searchsorted(ends, since, side="right")
     values = np.zeros((len(time), len(problem.state_names)))

@@ -588,8 +588,10 @@ def contact_reason(
         if end is None:
             holds, what = is_clear(-slope), f"to fall at the release ({slope})"
         else:
+            if is_clear(-multiplier):
+                return f"contact ends at once, since the contact force is negative ({multiplier})"
             holds, what = is_clear(multiplier), f"positive on the stop ({multiplier})"
-        return "" if holds else f"`multiplier` is not proved {what}"
+        return "" if holds else f"the contact force is not proved {what}"
     if departure is Departure.RELEASED:
         jerk = _jerk(flow, box, system.rate)
         left = is_clear(jerk) and end is not None
