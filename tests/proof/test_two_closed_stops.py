@@ -17,6 +17,8 @@ from tests.support.stacked import GRAVITY, pressed_pair, stacked_blocks
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
 from zeno_orbits.proof import Proof, check_proof, prove_orbit
+from zeno_orbits.proof.checker.certificate import read_machine
+from zeno_orbits.proof.checker.section import ContactSection
 
 Certificate = dict[str, Any]
 
@@ -83,6 +85,25 @@ def test_a_pair_lands_and_is_released_where_its_closed_form_says(proof: Proof) -
         assert _off(proof.bounds.zeno_times[0], lands) < 1e-28
         assert _off(proof.bounds.period, 2 * mp.pi / 20) == 0
         assert _off(proof.bounds.start_state["cosine"], mpf(10) / 12) == 0
+
+
+def test_the_section_names_the_other_closed_stop(pair: Problem, proof: Proof) -> None:
+    # A release of the pair with a gap between the blocks does not belong to box 1.
+    told = "\n".join(proof.lines())
+    assert "from a release of stop `table` in contact with `block` to the next" in told
+    assert "Box 1 contains each release in contact with `block` with " in told
+    data: Certificate = dict(proof.certificate)
+    names = ("table", "block"), ()
+    alone: Certificate = {**data, "machine": {"stop": 0, "sides": []}}
+    for one, closed in ((data, ", in contact with `block`"), (alone, "")):
+        machine, _, _ = read_machine(one, pair)
+        given = dict(one["section"])
+        if not closed:
+            # One state more follows from no condition.
+            given["places"] = [*given["places"], 1, 3]
+        text = ContactSection.of(machine.first, given, names).text
+        assert text.startswith("the release of `table`, where the gap,")
+        assert text.endswith(f"acceleration vanish{closed}")
 
 
 @pytest.mark.slow

@@ -346,6 +346,7 @@ def _proof(search: _Search, values: ParameterValues, passes: list[JudgedBox]) ->
         impacts=search.given.count if system.struck else 0,
         stop="" if at_switch or not search.machine.is_graph else search.given.event,
         switch=search.given.event if at_switch else "",
+        beside=search.machine.beside(system),
         releases=search.given.count,
         events=fine.passage.told if search.machine.is_graph else (),
         stable=bool(fine.start.places) and (fine.discs.stable or passes[0].returned.included),

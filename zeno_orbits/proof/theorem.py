@@ -205,6 +205,7 @@ class Proof:
             section's switch.
         stop: Name of the section's stop, empty for a machine with one stop and no switch.
         switch: Name of the switch before which the period starts, empty for other sections.
+        beside: Names of the stops that are closed on the section, except that of its release.
         events: Events of the period in order, for a machine with several stops, switches or kinks.
         stable: True if the fixed point of the return map is proved to be stable.
         repelling: True if a multiplier is proved to lie outside the unit circle.
@@ -230,6 +231,7 @@ class Proof:
     releases: int = 0
     stop: str = ""
     switch: str = ""
+    beside: tuple[str, ...] = ()
     events: tuple[str, ...] = ()
     stable: bool = False
     repelling: bool = False
@@ -436,15 +438,20 @@ class Proof:
     @property
     def _section(self) -> str:
         if self.switch:
-            return f"the state just before switch `{self.switch}`"
+            return f"the state just before switch `{self.switch}`{self._contact}"
         at = f" of stop `{self.stop}`" if self.stop else ""
-        return f"the state just after an impact{at}" if self.impacts else f"a release{at}"
+        found = f"the state just after an impact{at}" if self.impacts else f"a release{at}"
+        return f"{found}{self._contact}"
+
+    @property
+    def _contact(self) -> str:
+        closed = " and ".join(f"`{name}`" for name in self.beside)
+        return f" in contact with {closed}" if closed else ""
 
     @property
     def _element(self) -> str:
-        if self.switch:
-            return "state just before the switch"
-        return "state just after an impact" if self.impacts else "release"
+        found = "state just after an impact" if self.impacts else "release"
+        return f"{'state just before the switch' if self.switch else found}{self._contact}"
 
     def _contraction(self) -> str:
         """Return the reason of stability: a norm below 1, or the inclusion of box 1."""

@@ -37,8 +37,8 @@ _KINDS = (
 
 
 _TEXTS = {
-    True: "the release, where the gap, its rate and its acceleration vanish",
-    False: "the states just after an impact, where the gap vanishes",
+    True: "the release{}, where the gap, its rate and its acceleration vanish",
+    False: "the states just after an impact{}, where the gap vanishes",
 }
 
 
@@ -80,6 +80,7 @@ class ContactSection(NamedTuple):
             names: Names of the stops, and of the switches.
         """
         further = ("switch",) if isinstance(data, dict) and "switch" in data else ()
+        stops, switches = names
         conditions, places, *switch = entries(data, "conditions", "places", *further)
         k = switch[0] if switch else -1
         pinned = {"gap": system.gap_row, "gap_rate": system.rate_row} if system.is_pinned else {}
@@ -101,23 +102,35 @@ class ContactSection(NamedTuple):
             )
         settled = "gap_rate" in conditions
         if switch:
-            text = _text_of_switch(system, k, settled=settled, names=names)
-            return cls(places, others, equations, settled, "cross", text, k)
-        end = "cross" if settled else "impact"
-        return cls(places, others, equations, settled, end, _TEXTS[settled])
+            text = _text_of_switch(system, k, switches)
+        else:
+            own = f" of `{stops[_own_stop(system)]}`" if len(stops) > 1 else ""
+            text = _TEXTS[settled].format(own)
+        closed = _closed_stops(system, stops, own=bool(switch) and settled)
+        # Other states of a box, with other stops closed, do not belong to the section.
+        text += f", in contact with {' and '.join(closed)}" if closed else ""
+        text += ", in flight" if switch and not closed else ""
+        end = "cross" if settled or switch else "impact"
+        return cls(places, others, equations, settled, end, text, k)
 
 
-def _text_of_switch(
-    system: System, switch: int, *, settled: bool, names: tuple[Sequence[str], Sequence[str]]
-) -> str:
+def _own_stop(system: System) -> int:
+    """Return the index of the stop of a system."""
+    return 0 if system.is_pinned else (system.gap_row - system.n_x) // 2
+
+
+def _text_of_switch(system: System, switch: int, switches: Sequence[str]) -> str:
     """Return the description of the section of a switch."""
-    stops, switches = names
-    text = f"the states just before the switch `{switches[switch]}`, where its guard vanishes"
-    if switch >= system.n_declared:
-        side = "positive" if system.signs[switch] > 0 else "negative"
-        text = f"the states just before `{switches[switch]}` leaves its {side} side"
-    own = (system.gap_row - system.n_x) // 2 if not system.is_pinned else 0
-    return f"{text}, in contact with `{stops[own]}`" if settled else f"{text}, in flight"
+    if switch < system.n_declared:
+        return f"the states just before the switch `{switches[switch]}`, where its guard vanishes"
+    side = "positive" if system.signs[switch] > 0 else "negative"
+    return f"the states just before `{switches[switch]}` leaves its {side} side"
+
+
+def _closed_stops(system: System, stops: Sequence[str], *, own: bool) -> list[str]:
+    """Return the names of the stops in contact on a section, in quotes."""
+    held = [(system.held_row - system.n_x) // 2] if system.held_row >= 0 else []
+    return [f"`{stops[k]}`" for k in ([_own_stop(system)] * own + held)]
 
 
 class Box(NamedTuple):

@@ -84,6 +84,17 @@ class BallMachine:
             )
         return self._views[key]
 
+    def beside(self, system: BallSystem) -> tuple[str, ...]:
+        """Return the names of the stops that are closed on the section, but not released there.
+
+        Args:
+            system: The system at the start.
+        """
+        view = system.view
+        own = [0 if view is None else view.stop] if self.section.locked else []
+        held = [] if view is None or view.held < 0 else [view.held]
+        return tuple(self.stop_names[k] for k in [*own, *held])
+
     def views(self, sides: tuple[bool, ...]) -> list[BallSystem]:
         """Return the systems of all stops on given sides of the kinks."""
         return [self.view(stop, sides) for stop in range(len(self.stop_names))]
