@@ -312,6 +312,7 @@ class Proof:
         basin: dict[str, Any] = self.basin_box.as_json() if self.basin_box else {}
         return found | {
             "statements": self.statements(),
+            "section": self._section,
             "box": {name: list(ends) for name, ends in self.box.items()},
             "boxes": [
                 box.as_json() | {"inclusion": box.included, "norm": double_above(box.norm)}
