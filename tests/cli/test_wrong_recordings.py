@@ -59,12 +59,12 @@ WRONG: Mapping[str, tuple[str | bytes, str, str]] = {
     "speed as an angle": (
         retitled("theta1 [rad]", "theta1 [rad/s]"),
         "line 4: column `theta1` has the unit rad/s",
-        "counts in rad: correct the title",
+        "the signal is in rad: correct the title",
     ),
     "voltage as a current": (
         retitled("[A]", "[V]"),
         "line 4: column `current` has the unit V",
-        "counts in A: correct the title",
+        "the signal is in A: correct the title",
     ),
     "no unit": (retitled(" [A]", ""), "line 4: column `current` lacks a unit", "`current [A]`"),
     "unknown unit": (retitled("[A]", "[Amp]"), "line 4: the unit of column `current`", "write `A`"),

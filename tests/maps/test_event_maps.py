@@ -159,12 +159,18 @@ def test_a_map_file_keeps_the_event_sequences(tmp_path: Path) -> None:
     assert all(one.sequence for one in found.attractors)
 
 
+def _first_attractor(capsys: Any) -> str:
+    """Return the attractor of the first row of a printed map, which may take two lines."""
+    _, _, first, second, *_ = capsys.readouterr().out.splitlines()
+    return f"{first[:31].strip()} {second[:31].strip()}"
+
+
 def test_the_command_maps_machines_with_switches(tmp_path: Path, capsys: Any) -> None:
     file = tmp_path / "map.json"
     words = ["--x", "a=12:20", "--y", "restitution=0.2:0.5", "--grid", "2x2", "-o", str(file)]
     # Exit code 1: no point has a Zeno point.
     assert main(["map", "hopper", *words]) == 1
-    assert "periodic orbit without a Zeno point, 4 events" in capsys.readouterr().out
+    assert _first_attractor(capsys) == "periodic orbit without a Zeno point, 4 events"
     assert read_map(file).x.name == "a"
 
 
@@ -175,7 +181,7 @@ def test_the_command_maps_from_an_orbit_and_draws(tmp_path: Path, capsys: Any) -
     words = ["--orbit", str(orbit), "--x", "place=-0.5:0.5", "--y", "speed=-1:1", "--grid", "2x2"]
     picture = tmp_path / "map.png"
     assert main(["map", "clapper", *words, "--plot", str(picture)]) == 0
-    assert "Zeno periodic orbit, 4 events, 2 Zeno points" in capsys.readouterr().out
+    assert _first_attractor(capsys) == "Zeno periodic orbit, 4 events, 2 Zeno points"
     assert picture.exists()
 
 

@@ -666,7 +666,7 @@ def test_an_ffmpeg_that_fails_is_heard(
 
 
 def test_the_command_offers_every_kind_there_is() -> None:
-    _, told, _ = ask("figures", "--help")
+    _, told, _ = ask("figures", "--help-all")
     assert f"one of {', '.join(PAPER)}: the system" in " ".join(told.split())
 
 
