@@ -269,6 +269,7 @@ def test_a_broken_orbit_file_is_named_with_the_command_that_writes_one(case: str
         assert "must hold" not in answer.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["one stop", "events"])
 def test_a_billion_periods_are_refused_before_anything_is_integrated(
     kind: str, orbit_file: Path, monkeypatch: pytest.MonkeyPatch

@@ -43,6 +43,10 @@ def folder(tmp_path: Path, orbit: Orbit, recorded: bytes, monkeypatch: pytest.Mo
     height = drop.signal("height")
     by_camera = replace(height, values=1.3 * height.values + 0.2)
     write_recording(replace(drop, signals=(by_camera,)), "track.csv")
+    measured = read_recording("data.csv")
+    current, angle = (measured.signal(name) for name in ("current", "theta1"))
+    write_recording(replace(measured, signals=(current,)), "current.csv")
+    write_recording(replace(measured, signals=(angle,)), "video.csv")
     return tmp_path
 
 
@@ -97,6 +101,7 @@ def test_an_orbit_gives_its_values_to_identify(
     assert fitted.parameters["R"] == pytest.approx(2.9, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_false_recording_is_a_no_with_the_reason(folder: Path) -> None:
     text = (folder / "data.csv").read_text()
     (folder / "data.csv").write_text(text.replace("theta1 [rad]", "theta1 [deg]"))

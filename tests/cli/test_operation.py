@@ -61,6 +61,7 @@ def left_in(folder: Path) -> list[str]:
     return [path.name for path in (folder / "temporary").glob("zeno-orbits*")]
 
 
+@pytest.mark.slow
 def test_a_deleted_current_folder_is_named(tmp_path: Path) -> None:
     gone = tmp_path / "gone"
     gone.mkdir()
@@ -101,6 +102,7 @@ def test_a_request_to_end_leaves_no_temporary_folder(tmp_path: Path) -> None:
     assert [name for name in left_in(tmp_path) if name not in err] == []
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "request_to_end"),
@@ -191,6 +193,7 @@ def test_a_file_that_is_replaced_keeps_its_permissions_and_its_link(
     assert [path.name for path in folder.iterdir()] == ["real.json"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     fast(1, [os.fsdecode(b"caf\xe9\xff.csv"), "x" * 246 + ".csv", "line\nbreak.csv"]),

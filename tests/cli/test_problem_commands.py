@@ -20,6 +20,7 @@ from zeno_orbits.model import bundled_problems, load_problem
 pytestmark = pytest.mark.usefixtures("here")
 
 
+@pytest.mark.slow
 def test_problems_lists_every_problem_with_its_gains() -> None:
     printed = ask("problems").out
     entries = {entry["name"]: entry for entry in ask("problems", "--json").data}
@@ -31,6 +32,7 @@ def test_problems_lists_every_problem_with_its_gains() -> None:
         assert entries[name]["parameters"] == dict(problem.values().parameters)
 
 
+@pytest.mark.slow
 def test_conditions_shows_the_two_published_coefficients() -> None:
     answer = ask("zeno-condition", "motor_pendulum")
     assert answer.code == YES
@@ -55,6 +57,7 @@ def test_conditions_of_a_falling_ball_are_minus_gravity() -> None:
     assert answer.data["coefficients"] == pytest.approx({"1": -9.81})
 
 
+@pytest.mark.slow
 def test_conditions_draws_the_region_when_asked(here: Path) -> None:
     answer = ask("zeno-condition", "motor_pendulum", "--plot", "region.png")
     assert answer.code == YES
@@ -91,6 +94,7 @@ def _machine(tmp_path: Path) -> Path:
     return Path("..") / "elsewhere" / "my_machine.py"
 
 
+@pytest.mark.slow
 def test_a_problem_of_ones_own_is_simulated_by_its_path(machine: Path) -> None:
     answer = ask("simulate", machine, "--until", "1", "--json")
     assert answer.code == YES

@@ -97,6 +97,7 @@ def test_an_unexpected_error_is_data_for_programs_too(monkeypatch: pytest.Monkey
     assert "internal error" in answer.data["message"]
 
 
+@pytest.mark.slow
 def test_a_refusal_is_told_where_there_is_no_room_for_its_data(here: Path) -> None:
     command = [sys.executable, "-m", "zeno_orbits", "verify", "none.json", "--json"]
     with Path("/dev/full").open("w", encoding="utf-8") as full:
@@ -130,6 +131,7 @@ def started(*arguments: str | Path, **streams: Any) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.slow
 def test_the_package_runs_as_a_module() -> None:
     with started("simulate", "bouncing_ball", "--until", "1", "--json") as process:
         out, err = process.communicate(timeout=60)
@@ -139,12 +141,14 @@ def test_the_package_runs_as_a_module() -> None:
     assert json.loads(out)["problem"] == "bouncing_ball"
 
 
+@pytest.mark.slow
 def test_misuse_of_the_module_is_an_exit_code_and_one_line() -> None:
     with started("simulate", "bouncing_ball", "--until", "0") as process:
         out, err = process.communicate(timeout=60)
     assert_refused(Answer(process.returncode, out, err), "--until 0: ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", fast(1, ["problems", "problems --json"]))
 def test_a_reader_who_has_seen_enough_is_no_error(words: str) -> None:
     with started(*words.split()) as process:
@@ -171,6 +175,7 @@ def closed(*arguments: str | Path, streams: str) -> subprocess.CompletedProcess[
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("streams", fast(1, ["| true", ">&- 2>&-", "2>/dev/full"]))
 def test_an_answer_does_not_depend_on_who_reads_it(
     streams: str, orbit_data: dict[str, Any], here: Path
@@ -189,6 +194,7 @@ def test_a_yes_and_a_misuse_do_not_depend_on_it_either(here: Path) -> None:
         assert closed("verify", here / "none.json", streams=streams).returncode == MISUSE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", fast(1, ["problems", "problems --json", "--help"]))
 def test_an_output_that_finds_no_room_is_no_yes(words: str) -> None:
     found = closed(*words.split(), streams="> /dev/full")

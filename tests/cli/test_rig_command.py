@@ -36,7 +36,7 @@ def test_a_machine_is_printed_beside_the_orbit_as_simulated(file: Path) -> None:
     assert answer.code == YES
     too_few = "2 cycles, too few to decide whether it has settled."
     assert f"Simulated, not measured: {too_few}" in answer.out
-    for row in ("first impact", "Zeno point, or end of chatter", "period", "1.813713"):
+    for row in ("first impact", "Zeno point, or end of", "period", "1.813713"):
         assert row in answer.out
 
 
@@ -219,6 +219,7 @@ def test_a_soft_stop_is_warned_of_and_cycles_that_scatter_are_none(tmp_path: Pat
     assert "the stop gives way by" in start.out
 
 
+@pytest.mark.slow
 def test_a_machine_of_micrometres_and_microseconds_is_printed_with_prefixes(
     tmp_path: Path,
 ) -> None:
@@ -238,6 +239,7 @@ def test_a_machine_of_micrometres_and_microseconds_is_printed_with_prefixes(
     assert "0.000" not in row
 
 
+@pytest.mark.slow
 def test_many_contacts_are_summed_up_by_stop_and_listed_on_request() -> None:
     words = ("rig", "bouncing_ball", "--set", "restitution=0.9", "--until", "7.6")
     words = (*words, "--part", "contact.stiffness=1e5")

@@ -29,6 +29,7 @@ def _one_line(capsys: pytest.CaptureFixture[str], *words: str) -> None:
         assert word in text
 
 
+@pytest.mark.slow
 def test_the_orbit_is_shown_phase_by_phase(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*STRUCK]) == 0
     text = capsys.readouterr().out
@@ -116,6 +117,7 @@ def test_a_file_that_was_tampered_with_is_refused(
     assert word in " ".join((answer.out + answer.err).split())
 
 
+@pytest.mark.slow
 def test_pictures_of_an_orbit_without_a_zeno_point_are_those_it_has(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -151,6 +153,7 @@ def test_a_shape_that_is_not_there_is_a_no(capsys: pytest.CaptureFixture[str]) -
     assert not json.loads(capsys.readouterr().out)["found"]
 
 
+@pytest.mark.slow
 def test_an_orbit_to_start_from_has_the_shape_that_is_asked_for(
     file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,6 +164,7 @@ def test_an_orbit_to_start_from_has_the_shape_that_is_asked_for(
     assert json.loads(capsys.readouterr().out)["shape"] == "impact*3"
 
 
+@pytest.mark.slow
 def test_a_margin_that_a_shape_has_not_is_no_bound_for_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

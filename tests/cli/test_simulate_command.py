@@ -56,6 +56,7 @@ def test_simulate_as_json_follows_the_ball_to_its_zeno_time() -> None:
     assert answer.data["end_time"] == 5.0
 
 
+@pytest.mark.slow
 def test_simulate_starts_where_it_is_told_and_draws_when_asked(here: Path) -> None:
     answer = ask(
         *("simulate", "bouncing_ball", "--start", "speed=-2", "--start", "height=1"),

@@ -102,6 +102,7 @@ def still_locks(stop: float) -> bool:
     return True
 
 
+@pytest.mark.slow
 def test_the_locked_arc_of_the_forced_oscillator_vanishes_where_the_closed_form_says() -> None:
     orbit, box = oscillator_orbit(), (-0.9, 0.2)
     family = only(family_of_orbit(OSCILLATOR, orbit, "stop", box, settings=COARSE).families)
@@ -174,6 +175,7 @@ def test_close_to_the_end_of_the_locked_arc_the_family_is_right_to_many_digits()
         assert one == pytest.approx(float(other), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_periods_of_the_family_in_the_restitution_are_those_measured_beforehand() -> None:
     orbit = pendulum_orbit(restitution=0.1)
     box = (0.0, 0.1)
@@ -314,6 +316,7 @@ def test_an_orbit_of_another_problem_and_one_that_does_not_close_are_refused() -
     assert again.period == pytest.approx(orbit.period, abs=1e-10)
 
 
+@pytest.mark.slow
 def test_derived_numbers_are_held_when_another_one_changes() -> None:
     orbit = pendulum_orbit()
     box = (0.198, 0.202)

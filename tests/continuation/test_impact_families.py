@@ -191,6 +191,7 @@ def test_a_flip_throws_off_the_branch_of_twice_the_period() -> None:
     assert [s.kind for s in double.special] == [SpecialPointKind.FLIP]
 
 
+@pytest.mark.slow
 def test_numbers_of_steps_and_giving_up_are_named_results() -> None:
     few = ContinuationSettings(steps=FamilySteps(most=3))
     (family,) = followed(few).families
@@ -251,6 +252,7 @@ def test_orbits_with_n_impacts_follow_each_other_between_grazing_orbits() -> Non
     assert ratios[1] == pytest.approx(separatrix(e).repulsion, rel=0.1)
 
 
+@pytest.mark.slow
 def test_an_orbit_with_two_impacts_from_the_search_is_followed() -> None:
     orbit = orbit_at_gains(OSCILLATOR, OSCILLATOR.values(parameters={"stop": 0.2})).unwrap()
     assert orbit.shape.text == "impact*2"

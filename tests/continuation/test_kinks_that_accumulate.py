@@ -141,6 +141,7 @@ def _family(name: str) -> Family:
     return found.families[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fast(1, sorted(MACHINES, reverse=True)))
 def test_a_family_goes_on_where_the_number_of_resolved_flights_changes(name: str) -> None:
     family = _family(name)
@@ -164,6 +165,7 @@ def test_a_kink_of_accumulating_flights_is_listed_and_is_no_entry_of_the_sequenc
     assert orbit.sequence == ("release wall", "switch kink 1", "zeno wall")
 
 
+@pytest.mark.slow
 def test_a_list_without_a_kink_of_an_accumulating_flight_is_verified() -> None:
     orbit = _orbit("quadratic drag")
     at = [event.name for event in orbit.events].index("impact wall") + 1

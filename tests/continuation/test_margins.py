@@ -34,6 +34,7 @@ def family_in_the_force(box: tuple[float, float], steps: FamilySteps, **numbers:
     return family
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("box", "steps"),
     [

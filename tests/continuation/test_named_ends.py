@@ -250,6 +250,7 @@ RELEASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", _some(RELEASES, "after a drop"))
 def test_a_release_meets_a_switching_time_in_closed_form(name: str) -> None:
     case, force = RELEASES[name]
@@ -497,6 +498,7 @@ def test_a_kink_or_switch_enters_where_its_condition_is_just_zero(name: str) -> 
 # A plastic impact after which the force pulls: the mass leaves at once.
 
 
+@pytest.mark.slow
 def test_a_plastic_impact_opens_its_stop_until_the_force_after_it_is_zero() -> None:
     case = Case(
         force=lambda m: -1 - 0.2 * m.v + m.p["A"] * m.cosine,
@@ -526,6 +528,7 @@ ARMED: dict[str, Callable[[Motion], Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", _some(ARMED, "a comparison"))
 @pytest.mark.parametrize(
     ("level", "detail"),
@@ -608,6 +611,7 @@ HILLS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", _some(HILLS, "damped"))
 def test_a_period_grows_without_bound_where_exact_flights_end_on_the_saddle(
     name: str,

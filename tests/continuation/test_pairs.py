@@ -43,6 +43,7 @@ def radius_by_itself(family: Family, point: FamilyPoint) -> float:
     return abs(multipliers_at(PENDULUM.dynamics(values), start, point.period)[0])
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_two_flips_within_one_step_are_both_found() -> None:
     family = pendulum_family(4.1957, -1.4, (-1.7, -1.3))

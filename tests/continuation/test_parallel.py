@@ -250,6 +250,7 @@ def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(tmp_path
 # ---------------------------------------------------------------------------- misuse
 
 
+@pytest.mark.slow
 @places_that_cannot_be_had
 def test_a_place_that_cannot_be_had_is_refused_and_the_checkpoint_left_untouched(
     place: tuple[str, ...],
@@ -299,6 +300,7 @@ LONG = ("continue", PROBLEM, "--parameter", "A=0.5:1.2", "--parameter2", "stop=-
 
 
 @needs_two
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_continuation_by_two_workers_one_killed_and_then_all_is_that_of_one_worker(
     tmp_path: Path, commands: Commands

@@ -123,6 +123,7 @@ def test_two_folds_that_meet_in_a_cusp_are_one_curve_that_is_passed_and_named() 
     assert curve.as_json()["cusps"] == [cusp]
 
 
+@pytest.mark.slow
 def test_every_fold_on_the_curve_is_found_wherever_it_starts() -> None:
     fold = 2 * (0.75 / 3) ** 1.5
     one = curve_of(CUSP, SpecialPointKind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX)
@@ -201,6 +202,7 @@ def test_a_curve_that_ends_where_something_else_is_lost_says_what() -> None:
     assert 0.3 * distance < (min(curve.y) - 0.5) / 2 < 3 * distance < 1e-4
 
 
+@pytest.mark.slow
 def test_two_folds_that_meet_in_a_hairpin_are_one_curve() -> None:
     # With u = y / 0.01 the curve turns round within 2e-5 of the ranges.
     sharp = in_two(lambda y, p: y + p[0] + p[1] * (100 * y) - (100 * y) ** 3, 1)

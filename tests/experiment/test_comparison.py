@@ -92,6 +92,7 @@ COPIES: dict[str, dict[str, float]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fast(1, COPIES))
 def test_the_numbers_of_a_copy_are_the_orbits_own(
     name: str, orbit: Orbit, problem: Problem, table: OrbitTable
@@ -122,6 +123,7 @@ def test_the_numbers_of_a_copy_without_noise_are_near_the_orbits_own(
             assert abs(metric.data) < 1e-2, metric
 
 
+@pytest.mark.slow
 def test_a_known_deviation_is_measured(orbit: Orbit, problem: Problem, table: OrbitTable) -> None:
     def cut_off(time: np.ndarray, values: np.ndarray) -> Any:
         # Above 2.1 A the current is cut off; link 1 is off by 0.05 rad.
@@ -141,6 +143,7 @@ def test_a_known_deviation_is_measured(orbit: Orbit, problem: Problem, table: Or
         assert rms.data == pytest.approx(0.05, abs=4e-3)
 
 
+@pytest.mark.slow
 def test_a_signal_that_comes_late_is_told_by_how_much(
     orbit: Orbit, problem: Problem, table: OrbitTable
 ) -> None:
@@ -155,6 +158,7 @@ def test_a_signal_that_comes_late_is_told_by_how_much(
     assert behind == pytest.approx(0.020, abs=4e-4)
 
 
+@pytest.mark.slow
 def test_gaps_and_holes_are_lived_with(orbit: Orbit, problem: Problem, table: OrbitTable) -> None:
     copy = recorded(table, problem, noise=2e-3)
     rng = np.random.default_rng(1)
@@ -171,6 +175,7 @@ def test_gaps_and_holes_are_lived_with(orbit: Orbit, problem: Problem, table: Or
         assert abs(metric.data - true) < SURE * metric.error, (what, metric)
 
 
+@pytest.mark.slow
 def test_angles_alone_give_portraits(orbit: Orbit, problem: Problem, table: OrbitTable) -> None:
     whole = recorded(table, problem, noise=1e-3)
     angles = replace(whole, signals=whole.signals[:2])
@@ -262,6 +267,7 @@ def test_what_shows_no_such_orbit_is_told_with_the_reason(
     assert any(part in one for one in found.reasons for part in reason.split("|")), found.reasons
 
 
+@pytest.mark.slow
 def test_values_far_from_all_others_are_named_and_large_true_values_are_not(
     orbit: Orbit, problem: Problem, compared: tuple[Recording, Comparison]
 ) -> None:
@@ -294,6 +300,7 @@ def test_the_recording_of_another_problem_is_told_first(
     assert told not in wrong.remarks
 
 
+@pytest.mark.slow
 def test_signals_that_jump_are_aligned_as_well() -> None:
     # The speed of this problem jumps by two thirds of its range; its slope knows nothing of that.
     problem = load_problem("forced_oscillator")
@@ -339,6 +346,7 @@ def test_signals_of_another_kind_are_refused(orbit: Orbit, problem: Problem) -> 
             compare_recording(orbit, problem, recording)
 
 
+@pytest.mark.slow
 def test_the_data_are_plain_and_finite(compared: tuple[Recording, Comparison]) -> None:
     import json
 
@@ -441,6 +449,7 @@ SHORT = [(0.0128, 0.1, 500.0), (0.0128, 0.3, 250.0), (0.015, 0.3, 480.0), (0.015
 """Amplitude of a shaken table, restitution, and samples a second: phases of few samples."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("amplitude", "restitution", "rate"), fast(1, SHORT))
 def test_phases_too_short_for_the_sampling_are_not_resolved_or_right(
     amplitude: float, restitution: float, rate: float
@@ -487,6 +496,7 @@ def forced() -> tuple[Problem, Orbit, OrbitTable]:
     return problem, orbit, tabulate_orbit(orbit, problem, ("distance", "speed"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", fast(1, [0, 9, 13, 27]))
 def test_the_period_is_as_sure_as_is_said_where_samples_meet_jumps_step_by_step(
     seed: int, forced: tuple[Problem, Orbit, OrbitTable]
@@ -500,6 +510,7 @@ def test_the_period_is_as_sure_as_is_said_where_samples_meet_jumps_step_by_step(
     assert abs(where.period - orbit.period) < SURE * where.period_error < 1e-4
 
 
+@pytest.mark.slow
 def test_later_cycles_with_few_samples_say_nothing_of_settling(
     shaken: tuple[Problem, Orbit, OrbitTable],
 ) -> None:
@@ -574,6 +585,7 @@ def test_a_part_of_a_cycle_is_not_called_unsettled(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", fast(1, range(6)))
 def test_a_period_of_few_samples_is_none_of_its_multiples(
     seed: int, shaken: tuple[Problem, Orbit, OrbitTable]
@@ -590,6 +602,7 @@ def test_a_period_of_few_samples_is_none_of_its_multiples(
 FEW = (9.4, 8.35, 3.3, 4.3, 5.3, 7.1, 7.9, 10.5, 11.75, 15.3, 20.6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n_cycles", "noise"), fast(1, [(20.0, 1e-3), (40.0, 0.0)]))
 @pytest.mark.parametrize("samples", fast(1, FEW))
 @pytest.mark.parametrize("machine", fast(1, ["shaken", "forced"]))
@@ -607,6 +620,7 @@ def test_an_orbit_with_few_samples_is_not_taken_for_another(
         assert found.metric("period").data == pytest.approx(orbit.period, rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("samples", "n_cycles"), fast(1, [(30.3, 12.0), (11.76, 40.0), (45.7, 12.0)])
 )

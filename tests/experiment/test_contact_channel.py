@@ -23,6 +23,7 @@ def _run() -> zo.RigRun:
     return zo.simulate_rig("relay", rig, until=0.04, settings=settings)
 
 
+@pytest.mark.slow
 def test_the_channel_of_every_stop_is_one_from_the_begin_of_a_contact_to_its_end() -> None:
     run = _run()
     recording = zo.rig_recording(run)
@@ -106,6 +107,7 @@ def test_missing_samples_of_a_channel_stay_missing() -> None:
     assert np.isnan(values[1])
 
 
+@pytest.mark.slow
 def test_samples_of_a_controller_have_their_own_rate_and_noise() -> None:
     run = zo.simulate_rig("motor_pendulum", until=0.1)
     with pytest.raises(zo.InputError, match=r"`noise` must be left out .* sensors have their own"):

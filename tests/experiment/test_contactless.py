@@ -106,6 +106,7 @@ OTHERS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "changed", "first"), fast(1, OTHERS))
 def test_another_controller_is_not_this_orbit_and_the_first_difference_is_named(
     name: str, changed: dict[str, float], first: str
@@ -169,6 +170,7 @@ def test_two_orbits_in_turn_are_a_doubled_period(name: str, changed: dict[str, f
     assert found.verdict in {NONE, ComparisonVerdict.UNDECIDED}
 
 
+@pytest.mark.slow
 def test_the_orbit_in_the_other_well_is_not_this_orbit() -> None:
     found = _compared("duffing", _recording("duffing", (duffing_motion(-1.0),)))
     assert found.verdict is NONE
@@ -182,6 +184,7 @@ def test_a_clock_alone_decides_nothing() -> None:
     assert "cosine, sine depend on the clock alone" in found.unresolved[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fast(1, MACHINES))
 def test_the_deviation_at_every_phase_is_the_one_that_was_added(name: str) -> None:
     own = MACHINES[name][1]()

@@ -153,6 +153,7 @@ def test_a_signal_that_moves_otherwise_is_no_orbit() -> None:
     assert any("`current` moves differently" in why for why in found.reasons)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scale", "offset", "words"),
     fast(
@@ -173,6 +174,7 @@ def test_a_signal_of_another_size_is_no_orbit(scale: float, offset: float, words
     assert any(words in why for why in found.reasons), found.reasons
 
 
+@pytest.mark.slow
 def test_a_signal_twice_as_large_differs_though_it_moves_alike() -> None:
     recording = _recording(signals=("flux",))
     flux = recording.signal("flux").values

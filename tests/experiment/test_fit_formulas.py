@@ -200,6 +200,7 @@ def _wrong_recording(problem: Problem) -> Recording:
     return replace(exact, time=exact.time * (1.0 + 1e-3), signals=signals)
 
 
+@pytest.mark.slow
 def test_the_derivatives_of_all_residuals_equal_finite_differences() -> None:
     problem = zo.load_problem("forced_oscillator")
     ranges = {"c": (1.0, 3.0), "distance.gain": (0.5, 2.0), "distance.offset": (-np.inf, np.inf)}
@@ -276,6 +277,7 @@ def _at(found: EventReturn, times: np.ndarray) -> np.ndarray:
     return np.array([arc.state_at(time) for arc, time in zip(arcs, times, strict=True)])
 
 
+@pytest.mark.slow
 def test_gathering_many_samples_changes_no_mean(other: Orbit, problem: Problem) -> None:
     table = tabulate_orbit(other, problem, ("theta1",))
     long = recorded(table, problem, n_cycles=20, rate=2000.0)
@@ -383,6 +385,7 @@ def test_an_interval_from_the_scatter_of_cycles_is_longer() -> None:
     assert spread.half[0] / spread.errors[0] == pytest.approx(2.446912, abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "wide"), fast(1, [(white, 1.25), (remembered, 1.4)]))
 def test_standard_errors_are_those_that_are_made(noise: object, wide: float) -> None:
     data, rng = whole_cycles(CYCLES, PER_CYCLE), np.random.default_rng(2)

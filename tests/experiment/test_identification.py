@@ -129,6 +129,7 @@ def test_a_recording_that_shows_no_such_orbit_gives_no_parameters(
         fit_parameters(problem, problem.values(), degrees, SOUGHT)
 
 
+@pytest.mark.slow
 def test_a_start_without_an_orbit_is_told(other: Orbit, problem: Problem) -> None:
     nowhere = problem.values(gains={"Kp": 2.5, "Kd": 5.0})
     with pytest.raises(UnfittableError, match="an orbit to fit is missing at the start"):

@@ -112,6 +112,7 @@ def test_a_gain_is_not_told_from_the_size_of_the_motion() -> None:
     assert unseen.direction["A"] * unseen.direction["distance.gain"] < 0.0
 
 
+@pytest.mark.slow
 def test_instruments_alone_are_calibrated_with_known_parameters() -> None:
     recording = _wrong(_exact(0.01), gain=1.1, offset=0.0, rate=1e-3)
     found = zo.identify(OSCILLATOR, recording, ["distance.gain", "clock_rate"], parameters=TRUTH)

@@ -204,6 +204,7 @@ def test_a_false_line_is_named_wherever_it_stands(
         read_recording(write(TITLES + "".join(lines)))
 
 
+@pytest.mark.slow
 def test_a_hole_in_every_line_of_a_long_file_is_kept(write: Write) -> None:
     lines = "".join(f"{k * 0.001!r},{k % 7}.25,,{-k}\n" for k in range(200_000))
     found = read_recording(write("time [s],angle [rad],empty [V],current [A]\n" + lines))

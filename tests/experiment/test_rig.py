@@ -137,6 +137,7 @@ def test_a_ball_comes_to_rest_in_the_floor_after_a_finite_number_of_contacts() -
     assert run.contact_force[-1] == pytest.approx(g, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_rig_of_the_pendulum_moves_as_scipy_moves_the_one_written_by_hand(
     problem: Problem, orbit: Orbit
 ) -> None:
@@ -242,6 +243,7 @@ def test_a_gear_of_very_stiff_teeth_is_none(problem: Problem) -> None:
     assert away[0] / away[1] == pytest.approx(math.sqrt(10), rel=0.5)
 
 
+@pytest.mark.slow
 def test_dry_and_viscous_friction_let_a_disc_run_down_as_their_closed_forms_say() -> None:
     values = DISC.values(parameters={"K": 1e-12})
     dry, start = 0.004, 2.0
@@ -520,6 +522,7 @@ def test_touches_without_a_long_one_hold_no_cycle(orbit: Orbit, problem: Problem
     assert cut_cycles([t for t in touches if t.end - t.start < 0.1], orbit) == ()
 
 
+@pytest.mark.slow
 def test_the_comparison_tells_means_spreads_and_where_the_machine_is_farthest(
     problem: Problem, orbit: Orbit
 ) -> None:
@@ -625,6 +628,7 @@ def test_other_problems_have_a_rig_too(name: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_reduced_model_without_currents_has_a_rig_with_a_controller(problem: Problem) -> None:
     reduced = problem.at_fidelity("quasi_static")
     rig = Rig(controller=Controller(period=1e-4))
@@ -637,6 +641,7 @@ def test_a_reduced_model_without_currents_has_a_rig_with_a_controller(problem: P
     assert not np.allclose(sampled, ideal, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_run_is_recorded_with_names_and_units_as_simulated(problem: Problem) -> None:
     start = problem.state_vector(problem.starts[0])
     run = run_rig(problem, problem.values(), default_rig(problem), start, 0.1)

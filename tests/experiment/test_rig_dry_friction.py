@@ -69,6 +69,7 @@ def test_a_disc_breaks_away_when_the_current_has_risen_to_its_friction() -> None
     assert np.all(run.of("rate")[~sticks] >= 0.0)
 
 
+@pytest.mark.slow
 def test_a_declared_part_moves_in_the_rig_as_in_the_simulation() -> None:
     problem = zo.load_problem("stick_slip")
     start = problem.state_vector(problem.starts[0], problem.values())

@@ -58,6 +58,7 @@ def _until(rates: Rates, guard: Guard, time: float, x: Vector) -> tuple[float, V
     return float(arc.t_events[0][0]), arc.y_events[0][0]
 
 
+@pytest.mark.slow
 def test_a_mass_between_two_compliant_stops_moves_as_scipy_moves_it() -> None:
     """``x'' = -x - 0.1 x' + 2 cos(1.3 t)`` and two stops at ``|x| = 1``, damped for 0.3."""
     stiffness, number = 1e5, _number(0.3)
@@ -136,6 +137,7 @@ def _end_deviation(name: str, until: float, stiffness: float, **options: Any) ->
     return float(np.max(np.abs(run.states[-1] - hard.end_state)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "until", "stiffness", "order"),
     fast(

@@ -114,6 +114,7 @@ def test_the_usual_formula_for_weak_damping_would_be_far_off_here() -> None:
     assert effective_restitution(1.5 * 0.8) > 0.5
 
 
+@pytest.mark.slow
 @given(st.floats(1e-6, 1 - 1e-6))
 def test_restitution_and_damping_number_are_inverse_to_each_other(e: float) -> None:
     assert effective_restitution(damping_number(e)) == pytest.approx(e, abs=50 * ROUNDING / (1 - e))
@@ -383,6 +384,7 @@ FINE = RigSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-14))
 # -------------------------------------------------------------------- friction, gears, bridges
 
 
+@pytest.mark.slow
 def test_teeth_give_back_what_their_loss_leaves() -> None:
     """Without a motor's torque the impact of the teeth is the contact law of the stop once more."""
     rotor, joint, loss, slip = 0.015, INERTIA - 0.015, 0.5, 1.5
@@ -418,6 +420,7 @@ def test_teeth_give_back_what_their_loss_leaves() -> None:
 # ---------------------------------------------------------------------- near an orbit of the model
 
 
+@pytest.mark.slow
 def test_each_further_contact_of_the_chatter_adds_its_length(
     problem: Problem, orbit: Orbit
 ) -> None:

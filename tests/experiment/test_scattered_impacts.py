@@ -65,6 +65,7 @@ def test_one_scattering_drop_has_an_interval_as_wide_as_its_few_impacts_allow() 
     assert 0.005 < found.transient.scatter < 0.1
 
 
+@pytest.mark.slow
 def test_the_values_of_the_drawn_motion_are_named_beside_the_mean_restitution() -> None:
     found = _fit(4, 0.75, 0.03)
     assert found.transient is not None

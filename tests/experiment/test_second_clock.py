@@ -121,6 +121,7 @@ def test_a_comparison_takes_a_second_file_too() -> None:
     assert max(abs(one.recorded - one.fitted) for one in seen) < 0.01
 
 
+@pytest.mark.slow
 def test_a_rate_that_a_short_file_does_not_determine_is_named() -> None:
     shown = np.arange(0.0, 0.18, 1 / 60)
     noise = 5e-3 * np.random.default_rng(2).standard_normal(len(shown))

@@ -70,6 +70,7 @@ def structure_left(found: zo.Identification) -> bool:
     return found.transient.tests.has_structure
 
 
+@pytest.mark.slow
 def test_a_drop_without_noise_gives_restitution_and_gravity_to_nine_digits() -> None:
     found = zo.identify(
         "bouncing_ball",
@@ -85,6 +86,7 @@ def test_a_drop_without_noise_gives_restitution_and_gravity_to_nine_digits() -> 
         _ = found.orbit
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_noisy_drop_has_the_width_of_its_noise() -> None:
     clean = heights(TIMES, (0.7, 0.0))
     values = [
@@ -157,6 +159,7 @@ def test_two_drops_share_their_restitution_and_not_their_starts() -> None:
     assert abs(both.fitted[0].value - 0.7) < 4 * both.fitted[0].error
 
 
+@pytest.mark.slow
 def test_a_parameter_without_effect_is_named_and_has_no_interval() -> None:
     found = zo.identify(
         "bouncing_ball",
@@ -184,6 +187,7 @@ def test_a_release_at_an_unknown_time_is_found() -> None:
     assert abs(found.fitted[0].value - 0.7) < 4 * found.fitted[0].error
 
 
+@pytest.mark.slow
 def test_gain_and_zero_of_a_camera_are_fitted_with_the_restitution() -> None:
     pixels = 1.2 * heights(TIMES, (0.7, 0.0)) + 0.05
     found = zo.identify(
@@ -252,6 +256,7 @@ def test_events_of_scattering_impacts_give_the_restitution_and_its_scatter() -> 
     assert 0.014 < found.transient.scatter < 0.027
 
 
+@pytest.mark.slow
 def test_edges_of_a_contact_channel_are_events() -> None:
     times = np.arange(0.0, 3.0, 0.001)
     impacts = bounces(12, 0.7, first=0.3)
@@ -301,6 +306,7 @@ def test_wrong_files_of_events_are_refused(tmp_path: Path, text: str, message: s
     assert message in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_comparison_tells_right_from_wrong_values_impact_by_impact() -> None:
     drop = track(TIMES, noisy(heights(TIMES, (0.7, 0.0)), 0.002, 9))
     right = zo.compare_transient(
@@ -435,6 +441,7 @@ def test_events_without_a_law_leave_structure() -> None:
         assert structure_left(found)
 
 
+@pytest.mark.slow
 def test_as_many_unknowns_as_data_give_no_interval() -> None:
     found = zo.identify(
         "bouncing_ball",

@@ -31,6 +31,7 @@ TABLES = 2e-6
 """Two tables of an orbit differ by so much of its size: each is as exact as half of it."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "units",
     [FAR[0], *(pytest.param(units, marks=pytest.mark.slow) for units in FAR[1:])],

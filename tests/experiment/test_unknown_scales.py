@@ -152,6 +152,7 @@ def test_other_names_are_refused(fit: list[str], reason: str) -> None:
         zo.compare(_orbit(), _recording(0), fit=fit)
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_scale(tmp_path: pytest.TempPathFactory) -> None:
     path = f"{tmp_path}/track.csv"
     zo.write_recording(_drop(0.75, 1.3, 0.2), path)

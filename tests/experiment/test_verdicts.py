@@ -99,6 +99,7 @@ def test_a_recording_reversed_in_time_is_no_orbit(name: str, whole: bool) -> Non
     assert "runs backward" in found.reasons[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", fast(1, range(3)))
 @pytest.mark.parametrize("name", fast(1, GAPS))
 def test_a_copy_shows_this_orbit(name: str, seed: int) -> None:
@@ -147,6 +148,7 @@ def test_a_changed_stop_is_no_mistaken_unit() -> None:
         assert "highest of distance" in {one.name for one in found.differences}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fast(1, GAPS))
 def test_samples_that_cannot_resolve_impacts_decide_nothing(name: str) -> None:
     problem, orbit, _ = orbit_of(name)

@@ -200,6 +200,7 @@ def test_a_follower_leaves_a_cam_of_arcs_and_comes_to_rest_on_it_again(speed: fl
     assert run.switches
 
 
+@pytest.mark.slow
 def test_a_follower_stays_on_a_slow_cam() -> None:
     # The nose falls with at most ``RISE speed^2``.
     speed = 0.999 * math.sqrt(GRAVITY / RISE)

@@ -154,6 +154,7 @@ def _calls(function: Callable[..., Any], data: Any) -> Iterator[dict[str, Any]]:
             yield {**given, **several, name: data}
 
 
+@pytest.mark.slow
 def test_no_function_runs_a_program_that_a_file_of_results_names(
     hostile: list[Path], tmp_path: Path
 ) -> None:
@@ -171,6 +172,7 @@ def test_no_function_runs_a_program_that_a_file_of_results_names(
     assert not (tmp_path / MARK).exists()
 
 
+@pytest.mark.slow
 def test_no_command_runs_a_program_that_a_file_of_results_names(
     hostile: list[Path], tmp_path: Path
 ) -> None:
@@ -185,6 +187,7 @@ def test_no_command_runs_a_program_that_a_file_of_results_names(
     assert not (tmp_path / MARK).exists()
 
 
+@pytest.mark.slow
 def test_a_checkpoint_runs_no_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     _write_program(tmp_path, "evil.py")

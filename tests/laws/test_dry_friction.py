@@ -88,6 +88,7 @@ def test_dry_friction_takes_a_fixed_amplitude_in_every_swing(start: float) -> No
     assert found.end_state[1] == 0.0
 
 
+@pytest.mark.slow
 def test_rest_by_friction_is_a_range_of_places() -> None:
     band = 1.0 / 4.0
     for place in (-0.99 * band, 0.4 * band, 0.99 * band):
@@ -128,6 +129,7 @@ def pendulum_with_sign(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     return zo.hybrid_system(links, (smooth.drive, friction), p["restitution"])
 
 
+@pytest.mark.slow
 def test_friction_that_only_turns_is_that_of_a_sign() -> None:
     problem = zo.load_problem("sticking_pendulum")
     found = zo.simulate(problem, until=5.0)
@@ -304,6 +306,7 @@ def test_the_hammer_follows_another_event_loop() -> None:
     assert {"stick f0", "slip f0 up", "zeno", "release"} <= {name for _, name in events}
 
 
+@pytest.mark.slow
 def test_the_hammer_strikes_once_per_period_and_forgets_as_its_multiplier_says() -> None:
     problem = zo.load_problem("guided_hammer")
     orbit = zo.find_orbit_by_shooting(problem).unwrap()
@@ -453,6 +456,7 @@ def test_a_kink_is_told_as_friction_only_if_its_force_is_along_its_rate(kink: st
     assert ("DryFriction" in str(refused.value)) == is_friction
 
 
+@pytest.mark.slow
 def test_a_wrong_side_of_a_start_is_set_right_by_its_rate() -> None:
     for side in (-1.0, 0.0, 1.0):
         found = zo.simulate(slider(), start={"v": 1.0, "side_pad": side}, until=0.1)

@@ -878,6 +878,7 @@ def test_an_orbit_lists_the_release_that_a_jump_causes(e: float) -> None:
     assert orbit.certificate["passed"]
 
 
+@pytest.mark.slow
 def test_an_orbit_of_an_earlier_file_without_that_release_passes() -> None:
     problem, orbit = thrown(0.3)
     events = tuple(event for event in orbit.events if event.name != "release floor")
@@ -1031,6 +1032,7 @@ def test_derivatives_where_stops_open_together_are_those_of_each(
         assert slopes(restitutions, f"low{k}") == pytest.approx(alone, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_equal_masses_on_a_spring_open_together() -> None:
     # The spring is without force as long as both move alike.
     pair = zo.simulate(released_masses([0.4, 0.4], spring=3.0), until=12.0)

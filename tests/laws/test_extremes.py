@@ -92,6 +92,7 @@ def test_a_line_has_seen_no_more_than_it_promises(line: str) -> None:
 # The truth itself.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "relative"), fast(1, [(DOP853, 3e-14), (Radau, 1e-11)]))
 def test_the_second_simulator_finds_the_reference_orbit(method: Method, relative: float) -> None:
     problem = load_problem("motor_pendulum")
@@ -105,6 +106,7 @@ def test_the_second_simulator_finds_the_reference_orbit(method: Method, relative
     assert followed.zeno_times[0] == pytest.approx(PERIOD, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_the_sequence_that_ends_at_the_release_parts_those_that_do_from_those_that_do_not() -> None:
     assert vanishing_sequence(-1e-9)[1] is not None
     assert vanishing_sequence(1e-9)[1] is None

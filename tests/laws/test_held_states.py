@@ -139,6 +139,7 @@ def test_a_mass_is_thrown_from_its_zeno_point_and_release() -> None:
         rate = RATE + MEMORY * (rate - RATE)
 
 
+@pytest.mark.slow
 def test_a_thrown_orbit_remembers_what_is_held() -> None:
     problem = thrower()
     start = {"is_on": 1.0, "rate": RATE}

@@ -101,6 +101,7 @@ def test_maps_have_the_multipliers_of_the_saltation_matrix() -> None:
         assert one.multipliers == pytest.approx(exact, abs=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("parameter", "box"),
     fast(1, [("d", (0.2, 0.45)), ("A", (0.9, 1.3)), ("restitution", (0.2, 0.5))]),
@@ -233,6 +234,7 @@ def _bead(p: Mapping[str, ca.SX], *, on_circle: bool) -> zo.CompletedSystem:
     return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
 
 
+@pytest.mark.slow
 def test_multipliers_do_not_depend_on_coordinates_with_a_constraint() -> None:
     own = {"A": 0.8, "c": 0.3, "omega": 1.5, "s": 0.1}
     angle = machine_of(partial(_bead, on_circle=False), STATED, {"restitution": 0.6, **own})

@@ -431,6 +431,7 @@ def test_a_jump_at_the_time_of_an_impact_leaves_the_multipliers_unknown(
     assert (apart < 1e-6) is is_known
 
 
+@pytest.mark.slow
 def test_a_release_that_a_jump_causes_keeps_the_stability() -> None:
     def model(_: Mapping[str, Any]) -> zo.CompletedSystem:
         q, v, clock = ca.SX.sym("q"), ca.SX.sym("v"), zo.Clock.at(ca.SX(1.0))

@@ -213,6 +213,7 @@ def _sampled(problem: zo.Problem, start: Mapping[str, float]) -> tuple[Vector, V
     return times, states[:, 0]
 
 
+@pytest.mark.slow
 def test_the_pages_and_commands_serve_a_machine_without_a_stop(tmp_path: Path) -> None:
     file = tmp_path / "wheel.py"
     file.write_text("from tests.support.contactless import wheel\n\nPROBLEM = wheel()\n")

@@ -465,6 +465,7 @@ def test_every_parameter_of_every_public_name_has_a_sound_value() -> None:
     assert len(places()) > 250
 
 
+@pytest.mark.slow
 def test_nonsense_is_refused_in_one_line_that_names_the_argument(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -517,6 +517,7 @@ def _hops(speed: float, g: float, c: float, e: float, until: float) -> list[tupl
     return hops
 
 
+@pytest.mark.slow
 @examples(25)
 @given(e=between(0.05, 0.8), c=magnitudes(1e-3, 10), g=between(1, 30), speed=magnitudes(1e-3, 30))
 def test_the_error_of_a_zeno_limit_is_at_most_its_estimate(
@@ -537,6 +538,7 @@ def test_the_error_of_a_zeno_limit_is_at_most_its_estimate(
             assert error <= limit.error + 50 * EPS
 
 
+@pytest.mark.slow
 @examples(25)
 @given(e=between(0.05, 0.8), c=magnitudes(1e-3, 10), g=between(1, 30), speed=magnitudes(1e-3, 30))
 def test_the_simulated_zeno_time_is_as_good_as_it_says(

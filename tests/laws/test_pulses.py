@@ -108,6 +108,7 @@ def test_a_pulse_in_other_smooth_tables_is_seen(made: Any) -> None:
     assert run.end_state[1] == pytest.approx(math.sqrt(1.0 + 2 * work), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_pulse_at_the_top_of_a_flight_is_seen() -> None:
     # The top is 0.3 cells above the middle of the pulse: the mass turns inside of it.
     knots = np.linspace(-1.0, 9.0, 4001)

@@ -29,6 +29,7 @@ def test_many_random_machines_have_the_events_of_the_reference(index: int) -> No
     require_true(index)
 
 
+@pytest.mark.slow
 def test_events_that_are_late_disagree() -> None:
     machine = random_graphs.widened(random_graphs.drawn(SEED, 0))
     verdict, run, seen, _ = random_graphs.judged(machine, TURNS)

@@ -91,6 +91,7 @@ def test_a_repeated_monotone_record_overshoots_nowhere_and_has_one_course_in_eve
     assert run.end_state[:2] == pytest.approx(moved(wanted, np.sort(every), 7.0), abs=1e-11)
 
 
+@pytest.mark.slow
 def test_the_orbit_under_a_repeated_record_has_its_multipliers() -> None:
     times, inputs = np.arange(9) * 0.4, np.random.default_rng(7).normal(size=9)
     orbit = zo.find_orbit(oscillator(zo.record(times, inputs, period=4.0))).unwrap()

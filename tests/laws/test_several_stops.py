@@ -313,6 +313,7 @@ def walking(e: float, until: float) -> zo.Execution:
     return zo.simulate(WALKER, until=until, parameters={"restitution": e}, start=start)
 
 
+@pytest.mark.slow
 def test_the_kneed_walker_takes_its_published_step() -> None:
     published = 1e-9  # ten digits are printed
     found = walking(0.0, 0.6)
@@ -327,6 +328,7 @@ def test_the_kneed_walker_takes_its_published_step() -> None:
     assert found.arcs[-1].closed == ()
 
 
+@pytest.mark.slow
 def test_the_kneed_walker_with_restitution_walks_as_in_the_reference() -> None:
     e, until = 0.2, 4.7 * kneed_walker.PERIOD
     found = walking(e, until)
@@ -469,6 +471,7 @@ def test_a_relay_bounces_at_both_stops_as_published() -> None:
         assert one[3] == (None if published[3] is None else pytest.approx(published[3], rel=1e-9))
 
 
+@pytest.mark.slow
 def test_the_flux_of_a_relay_is_followed_in_its_own_size() -> None:
     # Its size is seen in the branch of the voltage alone, which four phases of the clock show.
     p = zo.load_problem("relay").values().parameters

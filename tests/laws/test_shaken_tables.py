@@ -53,6 +53,7 @@ def tables() -> list[tuple[float, float, Truth]]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("omega", fast(1, [30.0, 1.0, 0.01]))
 def test_a_map_names_the_periods_of_random_tables(
     tables: list[tuple[float, float, Truth]], omega: float
@@ -70,6 +71,7 @@ def test_a_map_names_the_periods_of_random_tables(
     assert len(set(wanted)) > 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("acceleration", "restitution", "turns"),
     # Two first impacts in two turns, each followed by a second one before the table throws it.

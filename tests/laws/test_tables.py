@@ -178,6 +178,7 @@ def test_a_mass_under_a_piecewise_linear_force_has_its_closed_form(n: int) -> No
     assert {one.name for one in run.switches} == {"kink 1"}
 
 
+@pytest.mark.slow
 def test_a_knot_on_the_stop_changes_nothing_above_it() -> None:
     knots, forces = np.array([-1.0, 0.0, 1.0, 3.0]), np.array([5.0, -4.0, -5.0, -9.0])
     on_stop = mass(lambda x, _: zo.table(x, knots, forces, outside="extend"))
@@ -395,6 +396,7 @@ def test_messages_of_tables_in_a_model_name_the_table_and_no_start() -> None:
     assert "start" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_kinked_table_is_no_gap_and_a_table_is_not_proved() -> None:
     with pytest.raises(ValueError, match="`gap` must be smooth"):
         mass(lambda x, _: -x, gap=lambda x, _: x + zo.table(x, [-1, 0.5, 3], [0, 0.1, 0])).checked()

@@ -262,6 +262,7 @@ def test_the_reference_in_python_sees_a_short_pulse(
     assert run.end_state[:2] == pytest.approx(wanted, abs=LOCATED + ROUNDED / part)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "part", [3e-3, *(pytest.param(one, marks=pytest.mark.slow) for one in (1e-4, 1e-5, 1e-7))]
 )
@@ -379,6 +380,7 @@ def test_a_relay_at_its_published_times_closes_almost_without_impact() -> None:
     assert lost_when_closing((1.17588778, 3.48277863)) < 4e-9 * plain
 
 
+@pytest.mark.slow
 def test_the_worst_corner_of_a_robust_relay_loses_the_published_energy() -> None:
     corners = [(55.0 * a, 50.0 * b) for a in (0.95, 1.05) for b in (0.95, 1.05)]
     worst = max(lost_when_closing(ROBUST, ks=ks, R=r) for ks, r in corners)

@@ -148,6 +148,7 @@ def test_a_compilation_is_announced_and_its_time_left_told(tmp_path: Path) -> No
     assert ask(tmp_path, *SIMULATE, CC=own).stderr == ""
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_source_tree_uses_the_library_of_an_installed_package(tmp_path: Path) -> None:
     tree = unbuilt_tree()
@@ -176,6 +177,7 @@ def test_a_failed_compilation_is_not_remembered(tmp_path: Path) -> None:
     assert len(libraries(tmp_path)) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "told"),
     fast(
@@ -209,6 +211,7 @@ def test_a_folder_or_file_that_others_may_write_to_is_not_trusted(tmp_path: Path
     simulated(tmp_path)
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
@@ -264,6 +267,7 @@ def test_the_cache_is_filled_described_and_cleared(tmp_path: Path) -> None:
     assert list((tmp_path / "kernels").iterdir()) == []
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_cache_that_cannot_be_filled_is_a_no_with_the_reason(tmp_path: Path) -> None:
     own = compiler(tmp_path, "echo 'error: no room' >&2; exit 1")

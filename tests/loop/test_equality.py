@@ -331,6 +331,7 @@ def test_a_start_at_zero_multiplier_is_the_same(order: int, sign: float) -> None
     assert [arc.mode for arc in run.arcs] == [Mode.FREE if sign > 0.0 else Mode.LOCKED]
 
 
+@pytest.mark.slow
 def test_starts_on_the_stop_are_the_same() -> None:
     problem = zo.load_problem("vibrating_table")
     task = task_of(problem, until=2.0)

@@ -83,11 +83,13 @@ EXPORTED = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fast(1, EXPORTED))
 def test_an_exported_problem_gives_the_same_to_the_last_digit(name: str) -> None:
     assert _events_of(name, "--until", "4") == _expected(name, 4.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=() if name == "hopper" else pytest.mark.slow) for name in GRAPHS],

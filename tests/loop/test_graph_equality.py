@@ -221,6 +221,7 @@ def test_a_motion_is_refused_by_both_in_the_same_words(name: str) -> None:
     assert words_of_it in str(error)
 
 
+@pytest.mark.slow
 def test_a_kink_that_changes_the_acceleration_in_every_flight_is_refused_by_both() -> None:
     problem = random_graphs.problem(random_graphs.drawn(7, 129))
     (_, error), (_, reason) = both(problem, 6.0, {}, EXPLICIT)
@@ -267,6 +268,7 @@ def test_machines_with_nested_kinks_give_the_same_bits(seed: int) -> None:
     assert found is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", fast(1, range(8)))
 def test_random_machines_with_more_parts_give_the_same_bits(index: int) -> None:
     problem = random_graphs.problem(random_graphs.widened(random_graphs.drawn(12, index)))

@@ -92,6 +92,7 @@ def _of_one_rounding(task: SimulationTask, chosen: tuple[int, ...], run: Executi
     return _distance(_rows(alone, moved), _rows(alone, run))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "until"),
     fast(1, [("kneed_walker", 0.5), ("relay", 0.05), ("clapper", 8.0), ("limited_pendulum", 1.0)]),
@@ -149,6 +150,7 @@ def test_it_is_the_same_at_any_restitution(name: str, restitution: float) -> Non
     assert run.impacts
 
 
+@pytest.mark.slow
 def test_it_is_the_same_in_millimetres_and_milliseconds() -> None:
     units = Units(mass=1e3, length=1e3, time=1e3)
     problem = in_units(zo.load_problem("falling_pendulum"), units)

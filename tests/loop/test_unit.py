@@ -401,6 +401,7 @@ def test_a_kept_state_is_taken_again(export: Export) -> None:
     assert unit.states(("height", "speed", "impacts")) == [1.0, 0.0, 0.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [

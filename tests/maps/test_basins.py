@@ -45,6 +45,7 @@ def test_a_map_has_the_threshold_of_one_flight_and_one_impact_to_1e_8(
     assert (below.fate, above.fate) == (AttractorClass.REST, AttractorClass.ESCAPE)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_refined_map_is_the_full_map_of_the_finest_grid() -> None:
     # The boundary is a smooth curve, and cells are smaller than its bends.
@@ -80,6 +81,7 @@ def test_below_its_first_flip_every_start_of_the_shaken_ball_returns() -> None:
     assert orbit.period == pytest.approx(2 * np.pi / 30.0, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_orbits_of_one_kind_have_numbers_where_there_are_two() -> None:
     # The ball comes back once in two turns: on the even ones or on the odd ones.
     found = zo.parameter_map(
@@ -126,6 +128,7 @@ def test_a_map_starts_where_the_period_of_an_orbit_starts_at_its_numbers() -> No
     assert {one.period for one in found.attractors} == {known.period}
 
 
+@pytest.mark.slow
 def test_a_map_file_keeps_the_refinement_and_the_orbits(tmp_path: Path) -> None:
     found = spring_map(refine=2)
     write_map(found, tmp_path / "map.json")
@@ -133,6 +136,7 @@ def test_a_map_file_keeps_the_refinement_and_the_orbits(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "map.json").read_text()) == found.as_json()
 
 
+@pytest.mark.slow
 def test_a_point_outside_the_finest_grid_is_refused(tmp_path: Path) -> None:
     data = spring_map(refine=1).as_json()
     data["between"][0]["row"] = 99

@@ -160,6 +160,7 @@ def test_a_motion_near_orbits_that_repel_is_not_taken_for_one_of_them():
     assert found.fate is AttractorClass.UNSETTLED
 
 
+@pytest.mark.slow
 def test_a_motion_that_has_not_settled_tells_its_trend():
     never = Accuracy(near=0.0)
     (found,) = attractors_at(PENDULUM, [at(2.47, -0.21)], until=40.0, accuracy=never)

@@ -167,6 +167,7 @@ def _first_attractor(capsys: Any) -> str:
     return f"{first} {second}"
 
 
+@pytest.mark.slow
 def test_the_command_maps_machines_with_switches(tmp_path: Path, capsys: Any) -> None:
     file = tmp_path / "map.json"
     words = ["--x", "a=12:20", "--y", "restitution=0.2:0.5", "--grid", "2x2", "-o", str(file)]

@@ -93,6 +93,7 @@ def test_an_orbit_that_starts_at_another_event_has_the_same_pushes() -> None:
         assert found.spectral_radius == pytest.approx(0.30324777, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_a_push_on_a_closed_knee_follows_the_law_of_contact() -> None:
     orbit = event_orbit("powered_walker")
     problem = zo.load_problem("powered_walker")
@@ -115,6 +116,7 @@ def test_a_push_on_a_closed_knee_follows_the_law_of_contact() -> None:
     assert opened == {True, False}
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_an_independent_event_loop_walks_on_or_falls_beside_the_largest_push() -> None:
     orbit = event_orbit("powered_walker")
@@ -246,6 +248,7 @@ RESONANT = {"omega": 1.2, "stop": 1.7 / math.hypot(1 - 1.2**2, 0.12)}
 """An oscillator that either strikes its stop, or stays below it."""
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_largest_push_of_an_orbit_of_events_with_one_stop_separates_the_motions() -> None:
     orbit = zo.find_orbit(
@@ -301,6 +304,7 @@ def _valley(mirrored: bool) -> zo.Problem:
     )
 
 
+@pytest.mark.slow
 def test_mirror_images_of_an_orbit_have_the_same_pushes() -> None:
     settings = zo.PushSettings(phases=2, steps=6, reach=1.0, error=1e-3)
     found: list[list[float]] = []

@@ -50,6 +50,7 @@ def length(found: zo.Recovery, change: Array) -> float:
 # A hopper, and a ceiling above it.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", fast(1, range(3)))
 def test_a_hopper_recovers_by_its_multiplier_and_from_every_speed(seed: int) -> None:
     # The square of the speed maps to e^2 v^2 + 2 a s: every v > 0 returns, and the multiplier is
@@ -181,6 +182,7 @@ def test_a_ball_reaches_the_boundary_of_the_basin_and_does_not_cross_it(seed: in
     assert [name for name, extent in found.extents.items() if extent > 1e-9] == ["z"]
 
 
+@pytest.mark.slow
 def test_a_slow_decay_has_its_number_of_periods() -> None:
     orbit = zo.find_orbit(
         SHAKEN, parameters={"a": 1e-4}, section="release table", start={"cosine": 1.0, "z": 0.0}
@@ -252,6 +254,7 @@ def thrown(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     return zo.hybrid_system(masses, zo.no_drive(masses), switches=(racket,))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("least", "most", "limit"),
     fast(
@@ -562,6 +565,7 @@ def test_the_ball_of_a_clapper_ends_where_its_stop_would_release_at_once() -> No
     assert 1.0 < reach / math.sin(nearest) < 1.04
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "section"),
     fast(

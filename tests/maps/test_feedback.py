@@ -170,6 +170,7 @@ def _noisy(found: zo.Feedback, errors: Any) -> tuple[Any, Any]:
     return np.array(points), np.array(inputs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", fast(1, [False, True]))
 def test_errors_of_readings_act_as_in_a_loop_that_has_them(delay: bool) -> None:
     found = zo.design_feedback(zo.find_orbit("hopper").unwrap(), ["a"], weight=2.0, delay=delay)

@@ -57,6 +57,7 @@ def test_the_machine_has_the_multipliers_of_the_design(case: str) -> None:
     assert certificate.passed, certificate.verdict()
 
 
+@pytest.mark.slow
 def test_the_machine_follows_the_law_of_the_feedback(repelling: zo.Orbit) -> None:
     found = zo.design_feedback(repelling, RANGE)
     machine = found.machine()
@@ -200,6 +201,7 @@ def _juggler(unit: float) -> tuple[zo.Problem, zo.Orbit]:
     return problem, zo.find_orbit_by_shooting(problem).unwrap()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", fast(1, [1e3, 1e-3, 1e6]))
 def test_a_held_input_that_is_zero_has_the_scale_of_its_law_in_any_unit(unit: float) -> None:
     problem, orbit = _juggler(unit)
@@ -236,6 +238,7 @@ def _top(p: Any) -> Any:
     return zo.hybrid_system(ball, zo.no_drive(ball), p["restitution"], switches=[top])
 
 
+@pytest.mark.slow
 def test_a_machine_can_begin_that_is_set_at_a_switch_without_a_reset() -> None:
     problem = replace(_juggler(1.0)[0], name="topped", model=_top)
     orbit = zo.find_orbit_by_shooting(problem).unwrap()

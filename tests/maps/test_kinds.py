@@ -95,6 +95,7 @@ def test_a_chaotic_motion_has_the_exponent_of_the_tangents_of_exact_flights() ->
     assert abs(found.exponent - exponent_of(seen)) < found.exponent_error + 0.05
 
 
+@pytest.mark.slow
 def test_a_bounded_motion_without_a_period_is_chaotic_and_does_not_grow() -> None:
     found = found_at(CHAOTIC)
     assert (found.fate, found.kind) == (AttractorClass.UNSETTLED, AttractorKind.CHAOTIC)
@@ -173,6 +174,7 @@ def test_arcs_that_all_end_on_their_stop_show_no_escape() -> None:
         assert found.fate is not AttractorClass.ESCAPE
 
 
+@pytest.mark.slow
 def test_a_limit_that_never_acts_leaves_the_attractor() -> None:
     # Four impacts a period, after Zeno points whose impacts depend on the accuracy.
     found = [
@@ -224,6 +226,7 @@ def two_frequencies() -> zo.Problem:
     )
 
 
+@pytest.mark.slow
 def test_a_motion_with_two_frequencies_is_quasi_periodic() -> None:
     # The frequencies are 1 and 2^(1/4); the ball forgets all but their phases at every Zeno point.
     problem = two_frequencies()

@@ -81,6 +81,7 @@ def test_what_runs_away_is_named_by_what_it_means(
     assert (found.fate, found.escaped, found.detail) == (AttractorClass.ESCAPE, name, phrase)
 
 
+@pytest.mark.slow
 def test_a_link_that_swings_past_half_a_turn_and_comes_back_does_not_run_away(
     problem: Problem,
 ) -> None:
@@ -103,6 +104,7 @@ def test_the_forced_oscillator_has_the_zeno_orbit_of_the_closed_form() -> None:
     assert found.period == pytest.approx(2 * math.pi, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_an_oscillation_that_dies_slowly_is_told_with_its_factor_a_period() -> None:
     found = at(oscillator(damping=0.1))
     assert found.fate is AttractorClass.UNSETTLED
@@ -112,6 +114,7 @@ def test_an_oscillation_that_dies_slowly_is_told_with_its_factor_a_period() -> N
     assert found.phrase.endswith("decaying")
 
 
+@pytest.mark.slow
 def test_an_oscillation_that_grows_slowly_is_told_so_and_one_that_died_rests() -> None:
     growing = at(oscillator(damping=-0.02))
     assert growing.fate is AttractorClass.UNSETTLED

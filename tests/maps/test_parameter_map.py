@@ -194,6 +194,7 @@ def test_the_command_refuses_what_makes_no_sense(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr(work, "Cluster", partial(Cluster, patience=0.5))
@@ -420,6 +421,7 @@ def test_an_interrupt_without_an_output_keeps_what_is_done_in_a_temporary_folder
     assert [path for path in tmp_path.iterdir() if path != Path(told[1])] == []
 
 
+@pytest.mark.slow
 def test_work_that_fails_leaves_no_temporary_folder_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -430,6 +432,7 @@ def test_work_that_fails_leaves_no_temporary_folder_behind(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(tmp_path: Path) -> None:
     named = tmp_path / "named"
     with interrupted_when(lambda _, __: True):

@@ -67,6 +67,7 @@ def test_contact_is_permanent_up_to_the_force_that_lifts_the_foot() -> None:
     assert thrown.fate is AttractorClass.ZENO
 
 
+@pytest.mark.slow
 def test_a_search_in_permanent_contact_names_it_and_does_not_wait() -> None:
     result = zo.find_orbit(_leg(), parameters={"F": 4.0})
     assert result.orbit is None

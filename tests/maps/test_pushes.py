@@ -61,6 +61,7 @@ def test_a_push_onto_the_stop_is_never_lost_as_the_stop_takes_it() -> None:
     assert all(math.isnan(push.largest) for push in onto)
 
 
+@pytest.mark.slow
 def test_below_its_first_flip_the_shaken_ball_returns_from_every_push() -> None:
     # The acceleration of the table is 1.38 g: the ball is thrown once a turn.
     orbit = zo.find_orbit("vibrating_table").unwrap()
@@ -134,6 +135,7 @@ def test_an_impulse_in_contact_changes_no_gap_rate_and_the_stop_only_pushes(
         assert abs(rate * of_stop) < 1e-14
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_push_is_the_same_in_grams_millimetres_and_milliseconds() -> None:
     units = Units(mass=1e3, length=1e3, time=1e3)
@@ -150,6 +152,7 @@ def test_a_push_is_the_same_in_grams_millimetres_and_milliseconds() -> None:
             assert abs(one.largest / impulse - two.largest) <= 2 * two.error
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_several_workers_find_the_same(orbit: zo.Orbit) -> None:
     alone = zo.largest_push(orbit, settings=FEW)
@@ -226,6 +229,7 @@ def test_an_orbit_that_repels_is_refused_though_the_one_that_attracts_has_its_pe
         zo.largest_push(orbit, problem=problem)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_pushes_that_no_simulation_can_follow_are_lost() -> None:
     orbit = shot_orbit("motor_pendulum")

@@ -75,6 +75,7 @@ def of_pendulum() -> tuple[zo.Orbit, zo.Recovery]:
     return orbit, zo.recovery(orbit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 5))]
 )

@@ -116,6 +116,7 @@ def test_the_simulated_moments_are_the_exact_ones() -> None:
     assert row.error < 0.04 * exact
 
 
+@pytest.mark.slow
 def test_the_simulated_quantiles_are_those_of_the_sum_of_products() -> None:
     row = _of_ball().row(KICKED)
     known = _sum_of_products(0.5, 0.1, 200_000, np.random.default_rng(7))
@@ -140,6 +141,7 @@ def test_the_period_of_a_clock_does_not_scatter() -> None:
     assert found.row("period").linear < 1e-5 * found.row("zeno stop").linear
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_motions_are_lost_as_often_as_the_ball_is_not_at_rest_at_the_kick() -> None:
     e, spread, turn = 0.5, 0.4, 0.6
@@ -207,6 +209,7 @@ def test_each_of_two_stops_scatters_as_its_own_differences(stop: str) -> None:
     assert row.linear == pytest.approx(spread * math.hypot(*slopes), rel=1e-5)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_ball_under_a_roof_is_simulated_as_by_hand() -> None:
     problem = kicked_ball(roof=True)
@@ -270,6 +273,7 @@ def test_noise_of_a_state_decays_by_the_multipliers() -> None:
 # The same numbers, and refusals.
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_periods_and_another_seed_others() -> None:
     problem = kicked_ball()
     one, same = (_scatter(problem, {"restitution": 0.1}, periods=20) for _ in range(2))
@@ -303,6 +307,7 @@ def test_an_orbit_that_does_not_attract_is_refused(problem: Problem, repelling: 
         scatter_of(problem, repelling, {"restitution": 0.1})
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_table_and_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,6 +31,7 @@ def test_a_limit_before_the_motion_repeats_hides_no_zeno_point(part: float) -> N
         assert found.period == pytest.approx(period, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_motion_that_stays_in_contact_after_its_impacts_is_held() -> None:
     # The leg turns about its hip with the knee closed.
     start = {"q1": 3.315, "q2": 0.456, "q3": 0.456, "dq1": 2.384, "dq2": 5.12298, "dq3": 5.12296}

@@ -108,6 +108,7 @@ def test_a_gain_may_be_uncertain() -> None:
         assert [one.real for one in ball.after(*point)] == pytest.approx(point, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_switching_times_out_of_order_lose_a_motion_with_the_reason() -> None:
     found = zo.design_feedback(_orbit(), {"t1": (-1.0, 1.0)}, problem=PROBLEM, method="deadbeat")
     far = found.returns.fixed_point.copy()
@@ -123,6 +124,7 @@ def test_switching_times_out_of_order_lose_a_motion_with_the_reason() -> None:
     assert -0.4 <= low <= 0.0 <= high <= 0.4
 
 
+@pytest.mark.slow
 def test_an_amplitude_is_a_state_of_the_machine_and_a_switching_time_is_refused() -> None:
     found = zo.design_feedback(_orbit(), ["F"], problem=PROBLEM, weight=0.0)
     machine = found.machine()

@@ -133,6 +133,7 @@ def _by_parabolas(amplitude: float, gain: Vector, centre: Vector) -> tuple[Vecto
     return np.array([x[1], math.cos(x[0])]), radius
 
 
+@pytest.mark.slow
 def test_least_squares_of_the_orbit_lose_a_juggled_ball_at_a_corner() -> None:
     found = _juggled("lqr")
     assert found.stable
@@ -145,6 +146,7 @@ def test_least_squares_of_the_orbit_lose_a_juggled_ball_at_a_corner() -> None:
     assert found.worst == pytest.approx(1.19859, abs=1e-5)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_robust_gain_of_a_juggled_ball_is_the_best_near_it() -> None:
     found = _juggled("robust")

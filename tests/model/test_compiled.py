@@ -36,6 +36,7 @@ def test_structural_zeros_keep_their_places() -> None:
     assert ball.on_stop(state).tolist() == [0.0, 0.0, 1.0, 0.0]
 
 
+@pytest.mark.slow
 def test_the_numbers_of_a_flow_outlive_their_maker() -> None:
     ball = _uncoupled_ball()
     flights = [ball.flight(10.0**-k) for k in range(50)]

@@ -66,6 +66,7 @@ def _checked_points(seed: int, n: int = 4) -> int:
     return checked
 
 
+@pytest.mark.slow
 def test_a_branch_of_a_random_formula_is_the_formula() -> None:
     # About one point in three is outside of the domain of an operation.
     assert sum(_checked_points(seed) for seed in range(40)) > 60

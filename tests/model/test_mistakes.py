@@ -275,6 +275,7 @@ def test_a_formula_that_leaves_its_domain_is_named_with_its_values(
         assert internal not in answer.err
 
 
+@pytest.mark.slow
 def test_functions_of_numpy_take_symbols_without_a_warning(tmp_path: Path) -> None:
     file = tmp_path / "ball.py"
     file.write_text(FILE.replace("= -v", "= -np.sin(v) + np.cos(v) - np.cos(v)"), encoding="utf-8")
@@ -284,6 +285,7 @@ def test_functions_of_numpy_take_symbols_without_a_warning(tmp_path: Path) -> No
     assert ended.stderr == ""
 
 
+@pytest.mark.slow
 def test_a_motion_that_slides_is_refused_with_a_formula_that_does_not(tmp_path: Path) -> None:
     file = tmp_path / "belt.py"
     text = FILE.replace('p["g"] * q', 'p["g"] * q**2 / 2').replace("gap=q", "gap=q + 3")

@@ -162,6 +162,7 @@ def walls_in_two_units(p: Mapping[str, ca.SX]) -> zo.CompletedSystem:
     return zo.hybrid_system(mechanism, zo.no_drive(mechanism))
 
 
+@pytest.mark.slow
 def test_scales_do_not_depend_on_what_was_asked_for_before() -> None:
     # More values than are kept, with times from nanoseconds to years.
     rates = 10.0 ** np.linspace(-9.0, 9.0, 70)

@@ -71,6 +71,7 @@ def _parts(problem: zo.Problem, **parameters: float) -> list[str]:
     return [one.part for one in energy_sources(problem, values)]
 
 
+@pytest.mark.slow
 def test_linear_damping_supplies_energy_where_its_symmetric_part_is_not_positive() -> None:
     rng = np.random.default_rng(3)
     supplies = list[bool]()
@@ -145,6 +146,7 @@ def test_no_bundled_problem_supplies_energy_by_a_sign() -> None:
         assert energy_sources(problem, problem.values()) == ()
 
 
+@pytest.mark.slow
 def test_every_command_about_a_file_tells_it_and_the_condition_holds_it(
     tmp_path: Path,
 ) -> None:

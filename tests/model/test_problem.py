@@ -36,6 +36,7 @@ def test_every_bundled_problem_is_consistent(name: str) -> None:
         assert len(problem.state_vector(start)) == len(problem.state_names)
 
 
+@pytest.mark.slow
 def test_a_problem_is_found_by_the_path_of_its_file_or_folder() -> None:
     path = bundled_problems()["motor_pendulum"]
     assert load_problem(path).name == "motor_pendulum"

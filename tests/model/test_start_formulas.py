@@ -128,6 +128,7 @@ def test_a_start_follows_the_parameters_of_its_formulas(
     assert found.impacts[0].time == pytest.approx(truth(g, floor), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_every_command_takes_a_start_that_is_a_formula(tmp_path: Path) -> None:
     """The period is a turn of the clock. A start inside of the stop would be refused."""
     file = between(tmp_path, FORMULA)
@@ -165,6 +166,7 @@ def test_a_start_that_a_parameter_forbids_is_named_with_both_remedies(
         assert remedy in told.replace("Pass", "pass")
 
 
+@pytest.mark.slow
 def test_a_search_skips_a_start_that_a_parameter_forbids(tmp_path: Path) -> None:
     file = between(tmp_path, '({"q": 1.0, "cosine": 1.0}, {"cosine": 1.0})')
     orbit = zo.search_gains(file, parameters={"d": 0.6}).orbit

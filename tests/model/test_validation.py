@@ -248,6 +248,7 @@ def test_the_traceback_is_there_for_those_who_ask(tmp_path: Path) -> None:
     assert isinstance(caught.value.__cause__, ValueError)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flags", fast(1, [[], ["--with-motor"], ["--with-circuit"]]))
 def test_a_new_problem_works_as_it_is_written(
     flags: list[str],

@@ -48,6 +48,7 @@ def test_default_numbers_and_titles_are_no_equations(problem: Problem) -> None:
     assert digest_of(problem) == digest_of(other)
 
 
+@pytest.mark.slow
 def test_problems_of_different_machines_have_different_digests() -> None:
     digests = {name: digest_of(load_problem(name)) for name in one_stop_problems()}
     for name, digest in digests.items():

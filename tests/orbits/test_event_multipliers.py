@@ -121,6 +121,7 @@ ALWAYS_CLOSED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("machine", fast(1, ALWAYS_CLOSED))
 def test_a_stop_that_is_closed_all_the_time_adds_no_multiplier(machine: Pressed) -> None:
     orbit = zo.find_orbit(machine.problem, until=200.0).unwrap()
@@ -152,6 +153,7 @@ def test_every_answer_has_the_multipliers_of_admissible_disturbances() -> None:
     assert family.points[-1].spectral_radius == exact
 
 
+@pytest.mark.slow
 def test_an_orbit_moves_with_a_stop_that_is_closed_all_the_time() -> None:
     # The masses rest on the stops, which the parameter lifts.
     machine = Pressed(slopes=(0.5,))
@@ -357,6 +359,7 @@ def _require_equal(found: Sequence[complex], exact: Sequence[complex], error: fl
     assert max(min(abs(a - b) for a in one) for b in other) < error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "seed",
     [

@@ -242,6 +242,7 @@ def test_a_certificate_holds_the_quantities() -> None:
     assert orbit.certificate["quantities"]["stop.impacts"] == [1.0, 1.0]
 
 
+@pytest.mark.slow
 def test_an_orbit_moves_with_its_values_as_the_difference_of_two_orbits() -> None:
     # The section moves along the clock, and the states have sizes from 1e-5 to 1.
     problem = zo.load_problem("relay_soft")

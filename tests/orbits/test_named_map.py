@@ -310,6 +310,7 @@ def _thrown() -> zo.Problem:
     )
 
 
+@pytest.mark.slow
 def test_a_plastic_impact_that_lets_go_is_no_part_of_a_later_zeno_point(tmp_path: Path) -> None:
     machine = _thrown()
     orbit = zo.find_orbit(machine, until=100.0).unwrap()

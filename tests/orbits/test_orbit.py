@@ -146,6 +146,7 @@ NAMED = st.dictionaries(
 )
 
 
+@pytest.mark.slow
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     period=POSITIVE,
@@ -393,6 +394,7 @@ OTHER = SMALL.with_phases(
 """No real orbit either: two phases."""
 
 
+@pytest.mark.slow
 @given(
     times=st.lists(POSITIVE, min_size=1, max_size=4, unique=True),
     kind=st.sampled_from([PhaseKind.IMPACT, PhaseKind.ZENO]),

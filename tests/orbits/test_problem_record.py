@@ -50,6 +50,7 @@ def _edit(file: Path) -> None:
     file.write_text(source.replace('kinetic=p["m"]', 'kinetic=1.001 * p["m"]'), encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MACHINES)
 def test_commands_and_functions_find_the_problem_of_an_orbit(name: str, folder: Path) -> None:
     (folder / "results").mkdir()
@@ -69,6 +70,7 @@ def test_commands_and_functions_find_the_problem_of_an_orbit(name: str, folder: 
     assert given.code == YES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MACHINES)
 def test_other_equations_are_told(name: str, folder: Path) -> None:
     _own_orbit(name, Path("orbit.json"))
@@ -220,6 +222,7 @@ def test_the_folder_of_the_bundled_problems_holds_no_namesake(
     assert ask("simulate", "relay", "--until", "0.01").err == ""
 
 
+@pytest.mark.slow
 def test_an_orbit_of_a_file_with_a_bundled_name_belongs_to_the_file(folder: Path) -> None:
     source = (PROBLEMS / "vibrating_table.py").read_text(encoding="utf-8")
     Path("relay.py").write_text(

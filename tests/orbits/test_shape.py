@@ -44,6 +44,7 @@ def test_every_shape_is_read_as_it_is_written(kinds: list[PhaseKind]) -> None:
     assert shape.n_releases == len(kinds) - kinds.count(IMPACT)
 
 
+@pytest.mark.slow
 @given(KINDS, st.integers(min_value=2, max_value=4))
 def test_a_shape_gone_round_again_names_what_it_goes_round(
     kinds: list[PhaseKind], times: int

@@ -225,6 +225,7 @@ def test_the_error_of_a_zeno_point_bounds_the_true_one(
     assert relative > 1e-8 or max(seen.zeno_errors) < 1e5 * relative
 
 
+@pytest.mark.slow
 def test_the_estimate_of_the_limit_alone_bounds_nothing_of_that() -> None:
     """What a Zeno point used to call its error is a billion times too small for a coarse run."""
     case = motion("forced_oscillator")

@@ -438,6 +438,7 @@ def test_an_unknown_fidelity_is_refused_with_those_there_are() -> None:
         load_problem("bouncing_ball@quasi_static")
 
 
+@pytest.mark.slow
 def test_a_path_that_holds_the_sign_is_a_path(tmp_path: Path) -> None:
     folder = tmp_path / "my@problem"
     folder.mkdir()

@@ -106,6 +106,7 @@ def test_a_reduced_model_errs_by_its_model_and_not_by_its_tolerance(
     assert errors(measured, "fidelity", "corrected")[-1] < 0.1 * tight
 
 
+@pytest.mark.slow
 def test_progress_names_what_is_measured_and_rises(problem: Problem) -> None:
     said: list[tuple[str, float]] = []
     few = replace(TINY, tolerances=(1e-4,), slow_from=1.0, cuts=(), impacts=())
@@ -253,6 +254,7 @@ def test_as_json_nothing_is_infinite_and_the_front_is_marked() -> None:
     assert json.loads(json.dumps(unsure, allow_nan=False))["truth_error"] is None
 
 
+@pytest.mark.slow
 def test_the_window_holds_what_the_problem_is_about() -> None:
     quick = replace(
         TINY, until=None, least=3.0, tolerances=(1e-8,), cuts=(1e-1, 1e-3), impacts=(2,), meshes=()
@@ -266,6 +268,7 @@ def test_the_window_holds_what_the_problem_is_about() -> None:
     assert all(trial.n_impacts > 0 for trial in found.trials if trial.sweep == "engine")
 
 
+@pytest.mark.slow
 def test_a_window_holds_the_zeno_point_of_a_falling_ball() -> None:
     quick = replace(TINY, until=None, least=3.0, tolerances=(1e-8,), cuts=(), impacts=(), meshes=())
     ball = load_problem("bouncing_ball")

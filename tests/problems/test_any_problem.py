@@ -103,6 +103,7 @@ def _found(problem: Problem, **parameters: float) -> tuple[Orbit, OrbitCertifica
     return orbit, verify(orbit, problem)
 
 
+@pytest.mark.slow
 def test_a_drive_without_current_states_has_an_orbit_of_its_own() -> None:
     orbit, certificate = _found(_without_current(_quasi_static))
     assert certificate.passed
@@ -124,6 +125,7 @@ def test_the_full_orbit_tends_to_the_quasi_static_one_with_the_inductance() -> N
     assert distances[1] / distances[2] == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_an_ideal_torque_of_the_quasi_static_size_gives_the_same_orbit() -> None:
     by_motor, _ = _found(_without_current(_quasi_static))
     by_torque, certificate = _found(_without_current(_ideal_torque))
@@ -132,6 +134,7 @@ def test_an_ideal_torque_of_the_quasi_static_size_gives_the_same_orbit() -> None
     assert by_torque.period == pytest.approx(by_motor.period, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_holonomic_constraint_in_place_of_a_coordinate_gives_the_same_orbit() -> None:
     names = ("theta1", "theta2", "phi2", "dtheta1", "dtheta2", "dphi2", "current")
     units = ("rad", "rad", "rad", "rad/s", "rad/s", "rad/s", "A")

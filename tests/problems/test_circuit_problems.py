@@ -238,6 +238,7 @@ def test_a_solenoid_with_a_constant_inductance_is_the_motor_valve() -> None:
 # The pendulum behind a filter.
 
 
+@pytest.mark.slow
 def test_the_filtered_pendulum_obeys_circuit_equations_by_hand() -> None:
     problem, pendulum = load_problem("filtered_pendulum"), load_problem("motor_pendulum")
     p = dict(problem.values().numbers)
@@ -306,6 +307,7 @@ def test_fields_sources_and_further_states_balance_over_a_period(
 OBSERVED = Path(__file__).parents[1] / "support" / "machines" / "observed_valve.py"
 
 
+@pytest.mark.slow
 def test_an_observer_that_is_told_of_impacts_forgets_its_error_at_its_own_rate() -> None:
     problem = load_problem(OBSERVED)
     orbit = orbit_at_gains(problem, problem.values()).unwrap()
@@ -322,6 +324,7 @@ def test_an_observer_that_is_told_of_impacts_forgets_its_error_at_its_own_rate()
         assert seen["observed"] == pytest.approx(seen["rate"], abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", fast(1, [0.0, 30.0]))
 def test_the_energy_that_impacts_add_to_a_further_state_is_counted(
     offset: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -382,6 +385,7 @@ def test_the_orbit_of_the_relief_valve_is_proved_and_checked(
 # The rig of such problems.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["relief_valve", pytest.param(str(OBSERVED), marks=pytest.mark.slow)]
 )
@@ -404,6 +408,7 @@ def test_a_rig_whose_stop_grows_stiff_tends_to_the_orbit(
     assert misses[1] < 1e-3 * orbit.period
 
 
+@pytest.mark.slow
 def test_a_gear_on_a_coil_that_turns_no_motor_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -528,6 +533,7 @@ def test_bridge_gear_and_controller_take_a_circuit_as_the_bank_that_it_is(
     assert runs[1].states[-1] == pytest.approx(runs[0].states[-1], rel=1e-8, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_a_filtered_motor_behind_a_gear_obeys_equations_by_hand() -> None:
     problem, pendulum = load_problem("filtered_pendulum"), load_problem("motor_pendulum")
     p, stiffness, inertia = dict(problem.values().numbers), 40.0, 0.01

@@ -165,6 +165,7 @@ def test_a_limit_that_is_never_reached_changes_nothing() -> None:
     assert ours == pytest.approx(np.array(unlimited.floquet_multipliers), abs=1e-7)
 
 
+@pytest.mark.slow
 def test_a_limited_voltage_has_its_orbit() -> None:
     orbit = event_orbit("limited_pendulum")
     assert orbit.certificate["passed"]
@@ -202,6 +203,7 @@ def test_a_limited_voltage_moves_as_the_rig_with_that_part_alone() -> None:
     assert np.max(np.abs((10 * stiff - soft) / 9)) < 3e-8
 
 
+@pytest.mark.slow
 def test_a_relay_has_the_published_bounces() -> None:
     orbit = event_orbit("relay", "zeno open")
     assert orbit.certificate["passed"]
@@ -248,6 +250,7 @@ def test_a_file_holds_every_number_to_the_last_bit(tmp_path: Path) -> None:
     assert zo.verify(tmp_path / "hopper.json").passed
 
 
+@pytest.mark.slow
 def test_an_orbit_without_a_certificate_is_verified_from_its_data() -> None:
     bare = replace(event_orbit("kneed_walker"), certificate={}, floquet_multipliers=())
     certificate = zo.verify(bare)
@@ -264,6 +267,7 @@ def _moved(orbit: zo.Orbit, place: int, **changes: Any) -> zo.Orbit:
     return replace(orbit, events=tuple(events))
 
 
+@pytest.mark.slow
 def test_false_orbits_are_refused_with_the_residual_that_explains_it() -> None:
     orbit = event_orbit("kneed_walker")
     start = {**orbit.start_state, "dq1": orbit.start_state["dq1"] * (1 + 1e-6)}

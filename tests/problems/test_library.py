@@ -202,6 +202,7 @@ def test_the_ball_thrown_into_a_bowl_bounces_as_parabolas_do(
     _hold_run(run, truth.bowl(_parameters("curved_surface", A=0, c=0), x, y, dx))
 
 
+@pytest.mark.slow
 def test_the_valve_flies_as_a_matrix_exponential_and_waits_as_a_coil_charges(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -253,6 +254,7 @@ def test_the_knee_of_two_motors_lets_go_where_the_law_by_hand_vanishes() -> None
     assert _pull(p, x["theta1"], *torques) == pytest.approx(0.0, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_two_motors_one_of_which_is_powerless_move_as_the_motor_pendulum() -> None:
     problem = load_problem("two_motors")
     powerless = problem.values(parameters={"K_torque2": 0.0, "K_emf2": 0.0})

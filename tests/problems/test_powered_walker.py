@@ -50,6 +50,7 @@ def test_an_independent_event_loop_returns_after_the_same_events_with_the_same_e
     assert times["zeno knee"] == pytest.approx(rest.time, abs=1e-10)
 
 
+@pytest.mark.slow
 def test_the_walk_has_the_stated_speed_and_cost_of_transport() -> None:
     orbit = _orbit()
     energies, step = orbit.certificate["energies"], _step(orbit)

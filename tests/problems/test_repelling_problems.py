@@ -121,6 +121,7 @@ def test_the_simplest_walker_loses_its_gait_at_the_published_slope() -> None:
         assert values[0].real == pytest.approx(-1.0, abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("slope", "n"), fast(1, [(0.02, 4), (0.025, 40)]))
 def test_a_walker_on_a_steep_slope_is_held_as_by_another_integrator(slope: float, n: int) -> None:
     found = zo.design_feedback(_gait(slope), ["hip"])

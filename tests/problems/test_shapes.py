@@ -197,6 +197,7 @@ def test_the_doubled_orbit_is_checked_by_the_model_written_by_hand() -> None:
     assert by_hand.multipliers[0] == pytest.approx(derived.multipliers[0], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_ball_thrown_twice_a_turn_comes_to_rest_twice() -> None:
     orbit = two_tones()
     assert orbit.shape.text == "zeno*2"
@@ -351,6 +352,7 @@ def test_free_gains_bring_a_doubled_orbit_to_a_wanted_period() -> None:
     assert checked(orbit).passed
 
 
+@pytest.mark.slow
 def test_a_shape_that_the_motion_does_not_settle_to_is_a_no_with_the_one_it_has() -> None:
     problem = load_problem("impact_oscillator")
     result = orbit_at_gains(problem, problem.values(), shape=EventSequence.parsed("zeno"))

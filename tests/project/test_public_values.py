@@ -98,6 +98,7 @@ def test_maps_of_one_file_that_was_read_twice_are_equal(tmp_path: Path) -> None:
     assert replace(second, problem=zo.load_problem("vibrating_table")) != first
 
 
+@pytest.mark.slow
 def test_runs_and_recordings_of_a_machine_are_compared_by_their_numbers() -> None:
     problem = zo.load_problem("motor_pendulum")
     run = zo.simulate_rig(problem, until=0.4)

@@ -38,6 +38,7 @@ def test_a_zeno_orbit_in_closed_form_is_proved(zeno_verdict: ProofVerdict) -> No
     assert names == ["motion 0", "exists", "unique", "period", "zeno_time", "impact_time"]
 
 
+@pytest.mark.slow
 def test_an_orbit_with_one_impact_a_turn_is_proved(impact: Certificate) -> None:
     verdict = check_proof(impact)
     assert verdict.ok, verdict.claims
@@ -52,6 +53,7 @@ def test_the_problem_of_a_certificate_may_be_a_name(impact: Certificate) -> None
         check_proof(impact, problem="bouncing_ball")
 
 
+@pytest.mark.slow
 def test_what_is_proved_reads_from_a_file(tmp_path: Path, impact: Certificate) -> None:
     path = tmp_path / "proof.json"
     path.write_text(json.dumps(impact))
@@ -78,6 +80,7 @@ def test_a_norm_is_told_with_its_box_and_its_basis(impact: Certificate) -> None:
     assert abs(MULTIPLIER) <= norm < abs(MULTIPLIER) + 1e-2
 
 
+@pytest.mark.slow
 def test_multipliers_of_discs_that_meet_lie_in_their_union(impact: Certificate) -> None:
     apart, meeting = "One multiplier lies in each of the discs", "lie in the union of the discs"
     told = "\n".join(check_proof(impact).conclusions())
@@ -522,6 +525,7 @@ def test_what_is_no_certificate_is_refused_in_one_line(
 _FAR = "0x1p+9999"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
     fast(1, [None, 10**400, 224.0, _FAR, [[]]]),
@@ -545,6 +549,7 @@ def test_an_entry_of_another_kind_is_refused_in_words(impact: Certificate, kind:
         assert "Error" not in str(refused.value)
 
 
+@pytest.mark.slow
 def test_a_record_of_another_shape_is_refused_by_whatever_process_meets_it(
     impact: Certificate, monkeypatch: pytest.MonkeyPatch
 ) -> None:

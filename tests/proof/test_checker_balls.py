@@ -448,6 +448,7 @@ def test_a_true_identity_between_positive_roots_is_always_accepted(
         assert are_equal(graph, [left], [right])
 
 
+@pytest.mark.slow
 def test_a_modulus_is_a_prime_by_a_proof_of_primality() -> None:
     flint = pytest.importorskip("flint")
     for _ in range(3):

@@ -81,6 +81,7 @@ def _compare(
         assert _holds(ball, truth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fast(1, ["vibrating_table", "forced_oscillator", "motor_valve"]))
 def test_a_single_point_is_enclosed(name: str) -> None:
     gains = {gain.name: gain.default for gain in zo.load_problem(name).gains}

@@ -338,6 +338,7 @@ def _mass(change: Callable[[ca.SX], ca.SX]) -> Change:
     return changed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", fast(1, [-1, 0, -LITTLE]))
 def test_a_hand_made_certificate_needs_a_positive_mass(zeno: Certificate, factor: float) -> None:
     assert "mass matrix" in _refusal(*_of(zeno, _mass(lambda m: factor * m)))

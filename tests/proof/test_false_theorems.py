@@ -95,6 +95,7 @@ def _with_pass(first: Certificate, second: Certificate) -> Certificate:
 # One certificate, one orbit.
 
 
+@pytest.mark.slow
 def test_a_smaller_box_around_the_same_orbit_gives_its_digits(
     impact: Certificate, within: Certificate
 ) -> None:
@@ -111,12 +112,14 @@ def test_a_second_pass_of_another_return_map_is_refused(
     assert "different return maps" in _refusal(_with_pass(impact, twice))
 
 
+@pytest.mark.slow
 def test_claims_about_a_box_without_the_fixed_point_are_refused(
     impact: Certificate, beside: Certificate
 ) -> None:
     assert "leaves the box" in _refusal(_with_pass(impact, beside))
 
 
+@pytest.mark.slow
 def test_a_first_box_without_the_fixed_point_lends_nothing_to_a_second(
     beside: Certificate,
 ) -> None:
@@ -168,6 +171,7 @@ def test_two_orbits_of_a_double_well_are_not_merged_into_one(
 # The sentences.
 
 
+@pytest.mark.slow
 def test_contraction_of_the_box_into_itself_makes_the_orbit_the_only_one_through_it(
     impact: Certificate,
 ) -> None:
@@ -488,6 +492,7 @@ def _free(change: Callable[[Any], Any]) -> State:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", fast(1, [1 - 1e-9, -1.0]))
 def test_a_certificate_of_another_machine_is_refused(zeno: Certificate, factor: float) -> None:
     assert "motion" in _refusal(
@@ -607,6 +612,7 @@ def test_a_range_of_a_certificate_for_one_value_is_refused(zeno: Certificate) ->
     assert _refusal({**zeno, "over": {"beauty": text_of(1e-30)}})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     fast(1, ("omega", "stop", "k", "A", "restitution", "m", "c")),

@@ -201,6 +201,7 @@ def test_parameters_that_vary_may_be_named_in_any_order() -> None:
         assert check_proof(dict(proof.certificate)).ok
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["forced_oscillator", pytest.param("solenoid", marks=pytest.mark.slow)]
 )

@@ -92,6 +92,7 @@ def test_a_law_with_limits_is_refused_by_its_operation() -> None:
         zo.prove(orbit, problem=machine)
 
 
+@pytest.mark.slow
 def test_states_that_a_release_sets_are_refused_by_the_missing_lemma() -> None:
     machine = zo.design_feedback(repelling_orbit(), ["Kp"]).machine()
     proof = zo.prove(zo.find_orbit_by_shooting(machine).unwrap(), problem=machine)

@@ -88,6 +88,7 @@ def _table_impacts(orbit: zo.Orbit, count: int) -> list[mp.mpf]:
     return times
 
 
+@pytest.mark.slow
 def test_the_enclosed_times_hold_the_closed_form_of_a_ball_on_a_table(
     table: zo.Orbit,
 ) -> None:
@@ -150,6 +151,7 @@ def _enclosed_in(reason: str) -> float:
     return float(found[1])
 
 
+@pytest.mark.slow
 def test_an_orbit_that_misses_a_release_is_refused_with_its_time(unaware: zo.Orbit) -> None:
     found = zo.enclose_period(unaware, problem=magnet_spot.PROBLEM)
     assert not found.enclosed
@@ -160,6 +162,7 @@ def test_an_orbit_that_misses_a_release_is_refused_with_its_time(unaware: zo.Orb
     assert found.miss is None
 
 
+@pytest.mark.slow
 def test_the_orbit_with_both_releases_is_enclosed() -> None:
     orbit = zo.find_orbit(magnet_spot.PROBLEM).unwrap()
     found = zo.enclose_period(orbit, problem=magnet_spot.PROBLEM)
@@ -379,6 +382,7 @@ def file(table: zo.Orbit, tmp_path: Path) -> Path:
     return tmp_path / "orbit.json"
 
 
+@pytest.mark.slow
 def test_the_command_prints_one_line_and_a_json_entry(file: Path) -> None:
     answer = ask("verify", file, "--rigorous")
     assert answer.code == YES, answer.err
@@ -391,6 +395,7 @@ def test_the_command_prints_one_line_and_a_json_entry(file: Path) -> None:
     assert "rigorous" not in ask("verify", file, "--json").data
 
 
+@pytest.mark.slow
 def test_the_command_fails_with_the_reason(table: zo.Orbit, file: Path) -> None:
     first = table.phases[0]
     shorter = replace(first, impacts=first.impacts[1:])
@@ -400,6 +405,7 @@ def test_the_command_fails_with_the_reason(table: zo.Orbit, file: Path) -> None:
     assert "Rigorous: not enclosed: `impact_time`: impact 1 of phase 1 is enclosed" in answer.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sign", "offset"), fast(1, [(-1, 0.0), (-1, 0.25), (1, -0.5)]))
 def test_a_gap_against_its_coordinate_is_enclosed_with_the_signs_of_the_states(
     sign: int, offset: float

@@ -103,6 +103,7 @@ CLOSED_FORMS = {"vibrating_table": _of_the_table, "forced_oscillator": _of_the_o
 """Sine of the clock at the release and the sign of the cosine, from the parameters' doubles."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fast(1, CLOSED_FORMS))
 def test_the_point_of_a_section_without_coordinates_is_printed_with_its_states(
     proofs: dict[str, Proof], name: str
@@ -342,6 +343,7 @@ def test_boxes_and_discs_of_the_data_contain_the_proved_ones(proofs: dict[str, P
         assert Fraction(repr(shown["norm"])) >= Fraction(box.norm)
 
 
+@pytest.mark.slow
 def test_a_tiny_box_is_printed_with_the_orbit_in_it() -> None:
     # Ten digits of the middle would leave the orbit outside.
     proof = zo.prove(shot_orbit("curved_surface"), radius=1e-13)
@@ -361,6 +363,7 @@ def _words(text: str) -> str:
     return re.sub(r"\s+", " ", text)
 
 
+@pytest.mark.slow
 def test_each_printed_statement_stands_in_the_document(proofs: dict[str, Proof]) -> None:
     page = _words((ROOT / "docs" / "proof.md").read_text(encoding="utf-8"))
     plastic = zo.prove(

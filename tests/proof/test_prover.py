@@ -30,6 +30,7 @@ def surface() -> Orbit:
     return shot_orbit("curved_surface")
 
 
+@pytest.mark.slow
 def test_the_orbit_of_the_vibrating_table_is_proved_and_its_certificate_holds(
     table: Orbit,
 ) -> None:
@@ -216,6 +217,7 @@ def test_a_multiplier_that_is_not_the_stops_is_not_proved(table: Orbit) -> None:
     assert "multiplier" in proof.reason
 
 
+@pytest.mark.slow
 def test_a_stop_that_pulls_for_a_moment_is_not_proved() -> None:
     # The table of two tones throws the ball twice a turn; an orbit that is held the second time
     # would have to be pulled.
@@ -227,6 +229,7 @@ def test_a_stop_that_pulls_for_a_moment_is_not_proved() -> None:
     assert proof.claim == "exists"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [*(pytest.param(one, marks=pytest.mark.slow) for one in ("restitution", "A")), "omega"],
@@ -266,6 +269,7 @@ def test_the_enclosures_over_an_interval_hold_the_numbers_at_its_ends(table: Orb
             assert outer.width < 1e-5
 
 
+@pytest.mark.slow
 def test_the_command_proves_writes_and_checks(table: Orbit, tmp_path: Path) -> None:
     orbit, proof = tmp_path / "orbit.json", tmp_path / "proof.json"
     zo.write_orbit(table, orbit)

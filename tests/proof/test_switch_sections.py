@@ -74,6 +74,7 @@ def test_the_wheel_agrees_with_its_energy_and_a_proved_quadrature(wheel: Proof) 
     assert wheel.events == ("switch strike",)
 
 
+@pytest.mark.slow
 def test_the_wheels_certificate_is_accepted_and_names_its_section(wheel: Proof) -> None:
     verdict = check_proof(dict(wheel.certificate), switched.rimless_wheel())
     assert verdict.ok, verdict.verdict()

@@ -129,6 +129,7 @@ FALSE: dict[str, tuple[dict[str, str], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fast(1, FALSE))
 def test_a_pair_that_would_open_is_not_accepted(pair: Problem, proof: Proof, name: str) -> None:
     false, (numbers, told) = copy.deepcopy(dict(proof.certificate)), FALSE[name]

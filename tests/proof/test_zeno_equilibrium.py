@@ -105,6 +105,7 @@ def test_a_law_of_the_speed_counts_with_its_largest_restitution(fall: float) -> 
         assert run.zeno_points[0].time <= found.duration
 
 
+@pytest.mark.slow
 def test_a_law_without_bounds_has_no_neighbourhood() -> None:
     root, capped = ball(LAWS["root"]), ball(LAWS["capped power"])
     report = equilibrium_report(root, root.values(), (0.0, 0.0))
@@ -119,6 +120,7 @@ def _answer(capsys: pytest.CaptureFixture[str], code: int, *words: str) -> Any:
     return json.loads(capsys.readouterr().out)["at"]
 
 
+@pytest.mark.slow
 def test_the_command_answers_yes_with_a_neighbourhood(capsys: pytest.CaptureFixture[str]) -> None:
     at = _answer(capsys, 0, "relief_valve", "--at", "pressure=5")
     assert at["has_zeno_executions"] is True

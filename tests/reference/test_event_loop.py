@@ -111,6 +111,7 @@ def test_impact_pairs_keep_their_orbit() -> None:
             assert event.time + 0.5 == pytest.approx((k + 1) * math.pi, abs=LOCATED)
 
 
+@pytest.mark.slow
 def test_a_hopper_has_its_speeds() -> None:
     thrust, rise, e = 25.0, 0.1, 0.6
     machine = Machine(
@@ -152,6 +153,7 @@ def motor(o: ClippedMotor) -> Machine:
     )
 
 
+@pytest.mark.slow
 def test_a_clipped_motor_follows_matrix_exponentials() -> None:
     rng = np.random.default_rng(3)
     for _ in range(3):
@@ -214,6 +216,7 @@ def test_an_impact_presses_a_closed_stop_or_lifts_it() -> None:
     assert impact.after[3] == pytest.approx(-c * change, rel=LOCATED)
 
 
+@pytest.mark.slow
 def test_impacts_on_two_coupled_stops_that_accumulate_are_refused() -> None:
     run = simulated(pressed(-0.4, (-1.0, -1.0)), (0.1, 0.0, 0.0, 0.0), 20.0, closed=("right",))
     assert run.refused is not None

@@ -139,6 +139,7 @@ def test_a_flow_that_blows_up_is_told() -> None:
         flow.advance(_numbers(1.0, -1.0), arb(2))
 
 
+@pytest.mark.slow
 def test_a_flow_that_blows_up_on_its_way_is_told() -> None:
     # y' = y^2 from 1 is infinite at 1.
     flow = _flow([lambda y, _: y[0] ** 2], n=1, digits=20)
@@ -146,6 +147,7 @@ def test_a_flow_that_blows_up_on_its_way_is_told() -> None:
         flow.advance(_numbers(1.0), arb(2))
 
 
+@pytest.mark.slow
 def test_what_decays_fast_costs_few_more_steps_and_no_digits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -63,6 +63,7 @@ def _ball_state(restitution: float, time: float) -> tuple[mp.mpf, mp.mpf]:
     return height + speed * left - g * left**2 / 2, speed - g * left
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restitution", fast(1, [0.8, 0.2]))
 def test_a_ball_comes_to_rest_when_the_closed_form_says(restitution: float) -> None:
     e = mp.mpf(restitution)
@@ -138,6 +139,7 @@ def _oscillator_impacts() -> list[mp.mpf]:
     return times
 
 
+@pytest.mark.slow
 def test_the_forced_oscillator_strikes_and_rests_as_its_closed_form_says() -> None:
     times = _oscillator_impacts()
     assert float(times[1]) == pytest.approx(4.8909848023223145, abs=1e-15)
@@ -168,6 +170,7 @@ def test_the_forced_oscillators_orbit_has_the_period_two_pi() -> None:
     assert orbit.multipliers[0] == pytest.approx(mp.exp(-2 * mp.pi), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_holonomic_constraint_changes_no_digit() -> None:
     # A pendulum of 0.5 m in its angle, and in the plane on a circle; numbers exact in both.
     def polar(p: Mapping[str, ca.SX]) -> CompletedSystem:
@@ -234,6 +237,7 @@ def test_a_release_without_a_return_is_told() -> None:
         extended_orbit(problem, problem.values(), (-0.8, -0.8, 0.0, -0.6), horizon=6.0)
 
 
+@pytest.mark.slow
 def test_an_error_that_is_too_large_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extended, "SPARE_DIGITS", (-8, 12))
     problem = clocked_oscillator(FORCED, attracting=True)

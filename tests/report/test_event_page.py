@@ -61,6 +61,7 @@ def test_the_curves_of_the_page_are_those_of_the_orbit() -> None:
     assert len(grounds) == 1
 
 
+@pytest.mark.slow
 def test_each_of_two_stops_has_the_duration_of_its_contact() -> None:
     orbit, page = event_orbit("clapper"), _page("clapper")
     times = {event.name: event.time for event in orbit.events}
@@ -83,6 +84,7 @@ def test_the_page_zooms_into_the_zeno_point_of_every_stop(name: str, stops: list
         assert len(zoom["speeds"]["x"]) == hits.count(f"impact {stop}")
 
 
+@pytest.mark.slow
 def test_captions_name_states_as_their_axes_do() -> None:
     page = _page("kneed_walker")
     first = "d<i>q</i><sub>1</sub>/d<i>t</i> over <i>q</i><sub>1</sub>"
@@ -150,6 +152,7 @@ def test_an_orbit_without_zeno_point_has_a_page_without_a_zoom() -> None:
     assert '<p class="small">Periodic orbit without a Zeno point of the problem hopper' in page
 
 
+@pytest.mark.slow
 def test_the_page_of_a_false_orbit_says_so() -> None:
     orbit = event_orbit("hopper")
     false = replace(orbit, period=1.001 * orbit.period)

@@ -48,6 +48,7 @@ def test_the_widget_follows_one_of_two_stable_orbits() -> None:
     assert followed.period < 1.95 < other.period
 
 
+@pytest.mark.slow
 def test_the_widget_follows_an_orbit_with_two_zeno_points_per_period() -> None:
     widget = zo.explore("two_tone_table", vary={"restitution": (0.2, 0.4)})
     for restitution in (0.25, 0.3):

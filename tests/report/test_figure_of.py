@@ -196,6 +196,7 @@ def test_multipliers_have_a_picture_and_a_closing_is_drawn_as_its_orbit(
         figure_of(ShootingResult(orbit=None, detail="nothing comes back"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", fast(1, [2.5, COLUMN_WIDTH, FULL_WIDTH]))
 def test_labels_of_ticks_across_keep_off_each_other(
     width: float, monkeypatch: pytest.MonkeyPatch

@@ -92,6 +92,7 @@ def test_tables_and_sentences_show_a_command_as_its_escape(
     assert "\\x1b[2J" in told.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     fast(1, ["$x^{2$", "$", "a $ b", r"$\frac{$", "$$", r"$\nope$", "$^^$", "x$_$", "$x_1$", "%"]),

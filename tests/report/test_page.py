@@ -162,6 +162,7 @@ def test_every_event_of_the_period_stands_on_the_page(page: str, subject: Subjec
     assert f"{subject.execution.zeno_points[0].time:.12g}Zeno point" in text
 
 
+@pytest.mark.slow
 def test_the_page_has_the_problem_for_its_heading_a_date_and_its_contents(
     page: str, subject: Subject
 ) -> None:
@@ -232,6 +233,7 @@ def test_a_period_with_another_number_of_zeno_points_has_its_own_words(
     page_of(replace(subject, execution=changed), load_bundle())
 
 
+@pytest.mark.slow
 def test_the_page_is_the_same_for_the_same_orbit(page: str, subject: Subject) -> None:
     assert page_of(subject, load_bundle()) == page
 
@@ -277,6 +279,7 @@ def test_the_commands_on_the_page_find_the_orbit_again(
     assert again.period == pytest.approx(subject.orbit.period, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_numbers_that_differ_from_the_problem_stand_in_the_command(subject: Subject) -> None:
     other = {**subject.orbit.parameters, "R": 2.5, "K_emf": 0.02}
     moved = replace(subject, orbit=replace(subject.orbit, parameters=other))
@@ -329,6 +332,7 @@ def hostile(subject: Subject) -> Subject:
     )
 
 
+@pytest.mark.slow
 def test_texts_that_are_html_stay_texts(hostile: Subject) -> None:
     page = page_of(hostile, load_bundle())
     reader = _Reader(page)
@@ -342,6 +346,7 @@ def test_texts_that_are_html_stay_texts(hostile: Subject) -> None:
 # ---------------------------------------------------------------------------- the command
 
 
+@pytest.mark.slow
 def test_report_writes_a_page_and_says_yes(orbit_file: Path) -> None:
     code, out, _ = ask("report", orbit_file, "-o", "report.html", *ONE)
     assert code == YES
@@ -398,6 +403,7 @@ def test_a_false_orbit_gets_a_page_that_says_so_and_a_no(orbit_file: Path) -> No
     assert page.index("Not verified") < page.index("What happens")
 
 
+@pytest.mark.slow
 def test_a_page_of_a_file_whose_name_is_not_utf_8(orbit_file: Path) -> None:
     name = os.fsdecode(b"orbit\xff.json")
     orbit_file.rename(orbit_file.with_name(name))
@@ -832,6 +838,7 @@ def test_an_elastic_stop_is_told_to_have_many_hits_for_any_number_in_the_file(
     assert ("This one impact stops the part" in text) is not many
 
 
+@pytest.mark.slow
 def test_the_commands_of_a_problem_of_ones_own_name_its_file(subject: Subject, page: str) -> None:
     own = replace(subject, problem_file="mine/machine.py")
     search, check, _ = commands_in(page_of(own, load_bundle()))

@@ -87,6 +87,7 @@ def drawn_arcs(execution: Execution) -> list[Any]:
 # ---------------------------------------------------------------------------- curves
 
 
+@pytest.mark.slow
 def test_each_panel_over_time_shows_its_state_in_seconds(
     curves: dict[str, Any], execution: Execution
 ) -> None:
@@ -241,6 +242,7 @@ def test_every_cell_of_the_multipliers(page: str) -> None:
     }
 
 
+@pytest.mark.slow
 def test_what_is_below_the_error_of_a_multiplier_is_shown_as_zero(subject: Subject) -> None:
     certificate = replace(subject.certificate, multipliers=(-0.5 + 0j, complex(1e-17, -1e-18)))
     found = tables_in(

@@ -283,6 +283,7 @@ def test_texts_of_pushes_that_are_html_stay_texts(subject: Subject) -> None:
 # ---------------------------------------------------------------------------- the command
 
 
+@pytest.mark.slow
 def test_report_takes_the_files_of_the_commands(folder: Path) -> None:
     files = ("--pushes", "pushes.json", "--recovery", "recovery.json")
     answer = ask("report", "orbit.json", "-o", "report.html", *files, *ONE)
@@ -297,6 +298,7 @@ def test_report_takes_the_files_of_the_commands(folder: Path) -> None:
     assert "--pushes pushes.json --recovery recovery.json" in words
 
 
+@pytest.mark.slow
 def test_the_python_function_takes_objects_and_files(
     folder: Path, orbit: zo.Orbit, problem: zo.Problem
 ) -> None:

@@ -51,6 +51,7 @@ def test_the_section_states_the_verdict_and_the_quantities_of_compare() -> None:
     assert b"<svg" in base64.b64decode(picture[1])
 
 
+@pytest.mark.slow
 def test_a_recording_of_another_motion_is_called_that() -> None:
     section = _section(zo.report_page(event_orbit("compass_walker"), recording=_recording(-1.0)))
     assert "does not show an orbit of this machine" in section

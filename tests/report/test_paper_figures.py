@@ -385,6 +385,7 @@ def test_a_recording_is_laid_over_the_orbit_by_its_phase_in_its_own_time(
     assert np.median(miss) < 4e-3
 
 
+@pytest.mark.slow
 def test_the_figures_and_the_comparison_lay_a_recording_over_the_orbit_alike(
     problem: Problem, orbit: Orbit, table: OrbitTable
 ) -> None:
@@ -440,6 +441,7 @@ def test_over_the_phase_each_motion_has_its_own_period(
     assert np.median(np.abs(y[seen] - table.at(x[seen])[:, 1])) < 2e-3
 
 
+@pytest.mark.slow
 def test_the_picture_of_a_comparison_is_by_phase_and_names_both_periods(
     problem: Problem, orbit: Orbit, table: OrbitTable
 ) -> None:
@@ -671,6 +673,7 @@ def test_the_command_offers_every_kind_there_is() -> None:
 
 
 @pytest.mark.usefixtures("parts")
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_one_command_writes_all_figures(orbit_file: Path) -> None:
     code, out, err = ask("figures", orbit_file, "-o", "new/figures")
@@ -742,6 +745,7 @@ def test_what_a_problem_does_not_have_is_said_and_left_out(
     assert not Path("g").exists()
 
 
+@pytest.mark.slow
 def test_a_problem_is_searched_at_its_own_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -256,6 +256,7 @@ def test_locked_phases_are_shaded_from_zeno_point_to_release(orbit: Shown) -> No
         assert np.allclose(spans(ax, Mode.FREE), free, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_time_series_show_coordinates_their_velocities_beside_them_and_the_current(
     orbit: Shown,
 ) -> None:
@@ -360,6 +361,7 @@ def test_the_boundary_of_the_region_is_the_published_curve(orbit: Shown) -> None
     assert ax.get_xlim() == pytest.approx((-np.pi, np.pi))
 
 
+@pytest.mark.slow
 def test_a_problem_without_current_shows_its_region_over_coordinate_and_velocity() -> None:
     puck = PROBLEMS["puck"]()
     ax = plot_zeno_set(puck.problem, puck.dynamics, puck.execution).axes[0]
@@ -388,6 +390,7 @@ def test_a_flight_without_events_is_drawn_all_the_same() -> None:
     assert spans(series, Mode.LOCKED) == []
 
 
+@pytest.mark.slow
 def test_drawing_leaves_the_settings_of_matplotlib_alone(orbit: Shown, tmp_path: Path) -> None:
     before = dict(mpl.rcParams)
     save_figure(plot_portraits(orbit.problem, orbit.execution), tmp_path / "portrait.svg")
@@ -487,6 +490,7 @@ def test_a_trade_shows_times_in_milliseconds_and_what_is_lost_nowhere() -> None:
     assert list(np.asarray(front.get_ydata())) == pytest.approx([0.5, 1.0, 2.0])
 
 
+@pytest.mark.slow
 def test_a_trade_without_any_result_is_an_empty_picture(tmp_path: Path) -> None:
     lost = WorkPrecision(problem="p", work="w", truth="t", truth_error=1e-25, trials=())
     save_figure(plot_trade(lost), tmp_path / "lost.png")

@@ -90,6 +90,7 @@ def test_other_restitutions_have_their_known_periods(problem: Problem, restituti
     )
 
 
+@pytest.mark.slow
 def test_simulation_and_collocation_find_the_same_orbit(problem: Problem) -> None:
     values = problem.values(gains={"Kp": 4.0})
     closed, found = (

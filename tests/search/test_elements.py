@@ -34,6 +34,7 @@ def written(name: str, **ranges: tuple[float, float]) -> tuple[EventReturn, Peri
     return found, write_period(builder, graph, found, free, has_work=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "ranges"),
     [
@@ -96,6 +97,7 @@ def test_a_program_whose_rows_cannot_be_met_is_not_solved() -> None:
     assert solution.residuals["square"] > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

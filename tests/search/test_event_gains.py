@@ -41,6 +41,7 @@ def test_the_least_loss_that_keeps_an_impact_speed_has_its_closed_form() -> None
     assert found.mean is None
 
 
+@pytest.mark.slow
 def test_the_nearest_values_that_keep_a_bound_touch_it() -> None:
     bound = zo.Bound(name="stop.impact_speed", upper=2.0)
     found = _search({"a": (5.0, 40.0)}, bounds=[bound])
@@ -49,6 +50,7 @@ def test_the_nearest_values_that_keep_a_bound_touch_it() -> None:
     assert inside.free["a"] == A
 
 
+@pytest.mark.slow
 def test_a_prescribed_period_is_reached() -> None:
     period = (
         zo.find_orbit("hopper", parameters={"a": 23.0, "s": S, "restitution": E}).unwrap().period
@@ -103,6 +105,7 @@ def test_bounds_that_no_orbit_keeps_are_named_with_their_excess() -> None:
     assert f"by {9.0 - fastest:.3g}" in found.detail
 
 
+@pytest.mark.slow
 def test_an_orbit_without_the_events_of_an_objective_is_refused() -> None:
     with pytest.raises(zo.InputError, match=r"`objective` must be about events .* `bounce_time`"):
         _search({"a": (5.0, 40.0)}, objective=zo.MinBounceTime())
@@ -149,6 +152,7 @@ def test_a_search_from_several_starts_has_the_same_closed_forms() -> None:
     assert found.n_unknowns > 50
 
 
+@pytest.mark.slow
 def test_the_worst_corner_is_the_score_of_a_search_from_several_starts() -> None:
     found = zo.search_gains(
         "hopper",

@@ -160,6 +160,7 @@ def test_a_margin_keeps_the_bounds() -> None:
     assert found.value == pytest.approx((found.free["a"] - 0.75 * G) / 15.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_bound_on_the_speed_of_the_first_impact_has_its_closed_form() -> None:
     bound = zo.Bound(name="first_impact_speed", lower=3.0)
     found = zo.search_gains("hopper", vary={"a": (5.0, 40.0)}, bounds=[bound])
@@ -186,6 +187,7 @@ def test_bounds_on_contacts_are_reached(name: str, lower: float) -> None:
         assert contact / period >= lower - 1e-6
 
 
+@pytest.mark.slow
 def test_the_share_of_one_stop_is_that_of_its_list_of_events() -> None:
     problem = zo.load_problem("motor_pendulum")
     orbit = zo.find_orbit(problem, gains={"Kp": 2.5, "Kd": -1.0}).unwrap()

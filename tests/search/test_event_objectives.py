@@ -104,6 +104,7 @@ def test_two_harmonics_have_the_peak_of_a_linear_program() -> None:
     assert [found.free["g3"], found.free["g5"]] == pytest.approx(solved.x[:2], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_prescribed_amplitude_is_reached() -> None:
     found = _search(zo.TargetAmplitude(state="height", target=0.2))
     assert found.orbit is not None
@@ -167,6 +168,7 @@ def test_the_least_energy_keeps_a_bound_on_a_signal() -> None:
     assert found.value == pytest.approx(CoilHop(voltage=voltage).energy, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_a_bound_on_the_spectral_radius_is_kept() -> None:
     # One multiplier is the square of the restitution, the other that of the coil.
     bound = zo.Bound(name="spectral_radius", upper=0.16)

@@ -104,6 +104,7 @@ def test_a_machine_without_a_stop_has_the_slope_of_its_period() -> None:
     assert found.method is PROGRAM
 
 
+@pytest.mark.slow
 def test_a_prescribed_period_of_a_driven_machine_is_that_of_its_drive() -> None:
     # The frequency alone decides, so the amplitude stays where it is.
     found = zo.search_gains(
@@ -175,6 +176,7 @@ def test_the_worst_corner_has_its_closed_form() -> None:
     assert found.worst == pytest.approx(25.0 * s, rel=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options"),
     [
@@ -286,6 +288,7 @@ def test_a_target_that_no_orbit_has_is_refused() -> None:
         )
 
 
+@pytest.mark.slow
 def test_shooting_replaces_an_optimum_that_the_check_refuses() -> None:
     problem, checked = zo.load_problem("hopper"), list[zo.Orbit]()
 
@@ -306,6 +309,7 @@ def test_shooting_replaces_an_optimum_that_the_check_refuses() -> None:
     assert found.free["a"] == pytest.approx(15.0)
 
 
+@pytest.mark.slow
 def test_every_search_tells_the_optimum_that_it_reached() -> None:
     # The loss is a s, and the bound on v^2 = 2 a s / (1 - e^2) decides: a = 15 and a loss of 1.5.
     asked: dict[str, Any] = {

@@ -87,6 +87,7 @@ def period_of(g: float, damping: float, spokes: int) -> tuple[float, float]:
 MACHINES = [(9.81, 1e-3, 8), (9.81, 1e-4, 8), (3.7, 1e-3, 9), (1.62, 1e-5, 8), (25.0, 5e-3, 10)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("g", "damping", "spokes"), fast(1, MACHINES))
 def test_a_walker_with_weak_damping_is_found_by_a_default_search(
     g: float, damping: float, spokes: int

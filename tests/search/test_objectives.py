@@ -292,6 +292,7 @@ def test_a_spectral_radius_is_kept_where_the_section_has_three_coordinates() -> 
     assert result.unwrap().gains["Kd"] == pytest.approx(nearest, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_an_orbit_at_fixed_numbers_that_passes_a_bound_is_refused(problem: Problem) -> None:
     result = search_orbits(
         problem, problem.values(), free={}, bounds=[Bound(name="theta2", upper=1.9)], settings=ONCE
@@ -341,6 +342,7 @@ def test_a_free_restitution_moves_the_impacts_and_the_zeno_point_with_it(problem
 # Ways to an orbit.
 
 
+@pytest.mark.slow
 def test_a_known_orbit_is_followed_to_other_numbers(problem: Problem, orbit: Orbit) -> None:
     values = problem.values(parameters={"restitution": 0.3, "R": 2.8})
     result = search_orbits(problem, values, free={}, near=orbit, settings=ONCE)
@@ -348,6 +350,7 @@ def test_a_known_orbit_is_followed_to_other_numbers(problem: Problem, orbit: Orb
     assert result.unwrap().period == pytest.approx(alone.period, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_the_end_of_a_family_is_named(problem: Problem, orbit: Orbit) -> None:
     values = problem.values(parameters={"restitution": 0.5})
     result = search_orbits(problem, values, free={}, near=orbit, settings=ONCE)
@@ -358,6 +361,7 @@ def test_the_end_of_a_family_is_named(problem: Problem, orbit: Orbit) -> None:
     assert end == pytest.approx(0.4168, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_a_start_that_settles_to_nothing_is_reached_from_an_easier_one(problem: Problem) -> None:
     # Too short a wait for the motion to settle at these gains, but not at the problem's own.
     brief = SearchSettings(n_starts=0, settling=TransientSettings(horizon=4.0))

@@ -152,6 +152,7 @@ def test_settings_that_allow_no_start_are_refused(searched: Any) -> None:
         searched([])
 
 
+@pytest.mark.slow
 def test_as_many_orbits_are_looked_for_as_are_asked_for(searched: Any, orbit: Orbit) -> None:
     told = [_found(orbit, 1.0 + k, 1.5 + k) for k in range(4)]
     nearest: dict[str, Any] = {"objective": NearestGains(target={})}
@@ -162,6 +163,7 @@ def test_as_many_orbits_are_looked_for_as_are_asked_for(searched: Any, orbit: Or
     assert len(searched(told, settings=SearchSettings(candidates=9), **nearest).candidates) == 4
 
 
+@pytest.mark.slow
 def test_the_best_optimum_has_to_be_found_twice_however_often_another_is(
     searched: Any, orbit: Orbit
 ) -> None:

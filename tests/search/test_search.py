@@ -89,6 +89,7 @@ def test_a_search_reports_how_well_it_did(found: SearchResult) -> None:
     assert [attempt.status for attempt in found.attempts] == [SearchStatus.FOUND]
 
 
+@pytest.mark.slow
 def test_a_finer_mesh_of_the_program_agrees_better(problem: Problem) -> None:
     usual = SearchSettings()
     seen: list[float] = []

@@ -78,6 +78,7 @@ def test_a_motion_beside_an_orbit_that_repels_it_settles_to_the_doubled_one(
     assert not zo.verify(once).stable
 
 
+@pytest.mark.slow
 def test_the_orbit_of_a_random_machine_is_the_one_that_attracts() -> None:
     # Its motion comes within 0.01 of an orbit of half the period, whose multiplier is -1.24.
     problem = random_machine(drawn(7, 0))

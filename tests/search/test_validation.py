@@ -77,6 +77,7 @@ def test_every_initial_state_is_one_of_the_problem(problem: Problem) -> None:
         _check(problem, initial_states=(state, {**state, "angle": 1.0}))
 
 
+@pytest.mark.slow
 def test_a_known_orbit_is_one_of_the_problem(problem: Problem, orbit: Orbit) -> None:
     _check(problem, near=orbit)
     other = problem.at_fidelity("quasi_static")

@@ -130,6 +130,7 @@ def test_a_ball_whose_weight_changes_rests_when_its_closed_flights_add_up(
     assert limit.state == pytest.approx([0.0, truth, 0.0, 1.0], abs=2 * limit.error)
 
 
+@pytest.mark.slow
 def test_the_bead_in_floats_and_in_thirty_digits_agree() -> None:
     speed = _speed(0.1, 2 * GRAVITY, 0.98)
     bead = SlidingBead(g=GRAVITY, restitution=0.98)
@@ -236,6 +237,7 @@ def test_no_more_flights_are_made_than_allowed() -> None:
 # Error estimate.
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(
     passage_time=st.floats(0.01, 1.2),

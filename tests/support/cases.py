@@ -10,12 +10,12 @@ import pytest
 
 def fast(n: int, cases: Iterable[Any]) -> list[Any]:
     """Return the cases of a parametrization, those after the first `n` marked as slow."""
-    return [case if k < n else _marked(case, pytest.mark.slow) for k, case in enumerate(cases)]
+    return [_marked(case, *[pytest.mark.slow] * (k >= n)) for k, case in enumerate(cases)]
 
 
 def often(n: int, cases: Iterable[Any]) -> list[Any]:
     """Return the cases of a slow test, those after the first `n` marked as weekly."""
-    return [case if k < n else _marked(case, pytest.mark.weekly) for k, case in enumerate(cases)]
+    return [_marked(case, *[pytest.mark.weekly] * (k >= n)) for k, case in enumerate(cases)]
 
 
 def _marked(case: Any, *marks: Any) -> Any:

@@ -214,6 +214,7 @@ def test_a_coordinate_beyond_its_limit_fails_alone(name: str) -> None:
     assert "the arm left its frame" in seen.verdict()
 
 
+@pytest.mark.slow
 def test_a_wrong_second_model_fails_alone(tmp_path: Path) -> None:
     problem = load_problem("motor_pendulum")
     orbit = zo.find_orbit(problem).unwrap()

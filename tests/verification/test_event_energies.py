@@ -72,6 +72,7 @@ def _orbit() -> zo.Orbit:
     return zo.find_orbit(_bell(1.0)).unwrap()
 
 
+@pytest.mark.slow
 def test_the_input_work_of_an_event_orbit_is_what_losses_and_impacts_take() -> None:
     certificate = zo.verify(_orbit(), problem=_bell(1.0))
     # The tolerances of the integration are near 1e-12.
@@ -147,6 +148,7 @@ def _echo(share: float) -> zo.Problem:
     )
 
 
+@pytest.mark.slow
 def test_contact_adds_to_the_energy_of_the_states_that_it_changes() -> None:
     found = zo.find_orbit(_echo(1.0)).unwrap()
     certificate = zo.verify(found, problem=_echo(1.0))

@@ -124,6 +124,7 @@ def test_the_model_written_by_hand_gives_the_same_certificate(
     assert by_hand.multipliers[0] == pytest.approx(certificate.multipliers[0], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_plastic_orbit_is_verified_without_a_sweep(problem: Problem) -> None:
     values = problem.values(parameters={"restitution": 0.0})
     seen = verify(orbit_at_gains(problem, values).unwrap(), problem, settings=QUICK)
@@ -140,6 +141,7 @@ def test_an_orbit_of_a_problem_without_motors_is_verified() -> None:
     assert "second_model" not in seen.residuals
 
 
+@pytest.mark.slow
 def test_an_orbit_that_may_have_any_amplitude_is_not_called_stable() -> None:
     problem = clocked_oscillator(FORCED, attracting=False)
     seen = verify(orbit_at_gains(problem, problem.values()).unwrap(), problem, settings=QUICK)
@@ -643,6 +645,7 @@ def test_a_power_that_the_motion_does_not_take_fails_alone(orbit: Orbit, problem
     assert seen.residuals["energy_balance"] == pytest.approx(1e-6, rel=0.5)
 
 
+@pytest.mark.slow
 def test_cuts_that_tend_elsewhere_fail_alone(
     orbit: Orbit, problem: Problem, machine: HybridDynamics
 ) -> None:
@@ -676,6 +679,7 @@ def _largest(motion: Execution, state: int) -> float:
     return float(np.max(np.abs(motion.sampled()[1][:, state])))
 
 
+@pytest.mark.slow
 def test_margins_are_the_least_of_all_phases() -> None:
     table = load_problem("two_tone_table")
     values = table.values()

@@ -118,6 +118,7 @@ def test_a_checkpoint_that_is_a_link_is_refused(tmp_path: Path, elsewhere: Path)
         assert contents(elsewhere) == before
 
 
+@pytest.mark.slow
 def test_a_second_name_of_a_file_keeps_its_content(folder: Path, elsewhere: Path) -> None:
     for name in (".lock", ".owner", "identity.json"):
         (folder / name).hardlink_to(elsewhere / "file")
@@ -129,6 +130,7 @@ def test_a_second_name_of_a_file_keeps_its_content(folder: Path, elsewhere: Path
     assert (elsewhere / "file").read_text() == TEXT
 
 
+@pytest.mark.slow
 def test_folders_of_a_checkpoint_are_removed_and_others_stay(folder: Path) -> None:
     for name in ("stage", "own"):
         parallel_map(square, POINTS, plan(folder / name))

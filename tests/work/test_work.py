@@ -63,17 +63,20 @@ def _diary(tmp_path: Path) -> Diary:
 # ---------------------------------------------------------------------------- results
 
 
+@pytest.mark.slow
 @needs_two
 def test_one_worker_and_two_return_what_the_task_itself_returns(diary: Diary) -> None:
     for count in (1, 2):
         assert list(parallel_map(diary, POINTS, plan(place=Workers(count=count)))) == alone()
 
 
+@pytest.mark.slow
 def test_a_last_chunk_may_be_short_and_no_points_need_no_worker(diary: Diary) -> None:
     assert list(parallel_map(diary, POINTS[:10], plan())) == alone(POINTS[:10])
     assert parallel_map(diary, [], plan()) == ()
 
 
+@pytest.mark.slow
 def test_results_are_what_comes_out_of_json_with_or_without_a_checkpoint(tmp_path: Path) -> None:
     points = [0.1, 5e-324, 1.7976931348623157e308, -0.0]
     fresh = parallel_map(chores.echo, points, plan(tmp_path / "kept"))
@@ -90,10 +93,12 @@ def test_every_core_is_used_if_nothing_is_said(diary: Diary) -> None:
     assert CORES < 2 or len(slow.workers()) > 1
 
 
+@pytest.mark.slow
 def test_numerical_libraries_get_one_thread_in_a_worker(tmp_path: Path) -> None:
     assert parallel_map(chores.environment, [1.0], plan(tmp_path / "kept"))[0] == ["1", "1", "1"]
 
 
+@pytest.mark.slow
 def test_progress_is_told_up_to_the_end(diary: Diary) -> None:
     told: list[tuple[str, float]] = []
     parallel_map(diary, POINTS, plan(), on_progress=lambda what, part: told.append((what, part)))
@@ -130,6 +135,7 @@ def test_an_empty_chunk_is_refused() -> None:
         ExecutionPlan(chunk=0)
 
 
+@pytest.mark.slow
 def test_the_exception_of_a_task_is_told_with_its_place_even_if_it_cannot_travel() -> None:
     with pytest.raises(WorkError, match=r"OddError: there is no answer for \d+\.\d+") as caught:
         parallel_map(chores.fail, POINTS, plan())
@@ -181,6 +187,7 @@ def test_a_worker_that_is_killed_in_the_middle_changes_nothing(
     assert contents(tmp_path / "killed") == contents(tmp_path / "quiet")
 
 
+@pytest.mark.slow
 def test_points_that_kill_once_each_are_all_computed_in_their_chunks(tmp_path: Path) -> None:
     task = Deadly(points=tuple(POINTS[1::12]), once=str(tmp_path))
     assert list(parallel_map(task, POINTS, plan())) == POINTS
@@ -247,6 +254,7 @@ def test_a_process_that_is_killed_loses_what_is_in_flight_and_leaves_no_worker_b
     assert visible == contents(tmp_path / "quiet")
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_the_workers_and_keeps_what_is_finished(
     tmp_path: Path, diary: Diary
 ) -> None:
@@ -263,6 +271,7 @@ def test_an_interrupt_ends_the_workers_and_keeps_what_is_finished(
     assert list(parallel_map(slow, POINTS, plan(tmp_path / "kept"))) == alone()
 
 
+@pytest.mark.slow
 def test_a_second_interrupt_waits_until_the_workers_have_ended(
     tmp_path: Path, diary: Diary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -382,6 +391,7 @@ def moved(data: bytes) -> bytes:
 BROKEN = [halved, altered, forgotten, moved, lambda _: b"", lambda _: b"[]", lambda _: b"\xff"]
 
 
+@pytest.mark.slow
 def test_a_broken_chunk_is_named_and_can_be_removed_by_itself(kept: Path, diary: Diary) -> None:
     whole = contents(kept)
     file = kept / "chunk-000002.json"
@@ -420,6 +430,7 @@ def test_a_folder_of_other_things_is_refused_and_left_untouched(tmp_path: Path) 
     assert contents(tmp_path) == {"thesis.tex": b"everything"}
 
 
+@pytest.mark.slow
 def test_half_written_files_of_a_killed_process_do_not_count(tmp_path: Path, diary: Diary) -> None:
     folder = tmp_path / "kept"
     folder.mkdir()
@@ -436,6 +447,7 @@ def numbered(points: Sequence[float]) -> list[float]:
     return [-point for point in points]
 
 
+@pytest.mark.slow
 @needs_two
 def test_results_come_in_the_order_of_their_points_whoever_is_first() -> None:
     whole = ExecutionPlan(place=TWO, chunk=1, identity=IDENTITY)
@@ -443,6 +455,7 @@ def test_results_come_in_the_order_of_their_points_whoever_is_first() -> None:
     assert found == [point * point for point in POINTS]
 
 
+@pytest.mark.slow
 def test_who_has_seen_enough_ends_the_workers(diary: Diary) -> None:
     slow = Diary(folder=diary.folder, pause=0.1)
     results = spread_in_order(slow, POINTS, ExecutionPlan(place=TWO, chunk=1, identity=IDENTITY))
@@ -452,6 +465,7 @@ def test_who_has_seen_enough_ends_the_workers(diary: Diary) -> None:
     assert len(slow.starts()) < len(POINTS)
 
 
+@pytest.mark.slow
 def test_this_process_does_the_first_chunk_and_no_worker_begins_before_it_is_needed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

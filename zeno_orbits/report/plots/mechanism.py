@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle, Rectangle
 
 from zeno_orbits.errors import InputError
@@ -28,6 +29,9 @@ _GHOSTS = 12
 """Positions of the mechanism along the period, drawn pale under its position at the release."""
 _WIDTH, _HEIGHT, _DEPTH = 1.7, 1.75, 1.0
 """Width of an element, distance of two loops and height of one, in units of the drawing."""
+
+_MARGIN = 0.06
+"""Free space left and right [in]."""
 
 _EDGE = 0.2
 _TITLES = {False: "mechanism at the release", True: "mechanism at the start of the period"}
@@ -100,7 +104,8 @@ def plot_mechanism(
     if loops:
         (left, right), (low, high) = _frame(loops)
         rows.append(0.25 + width * (high - low) / (right - left))
-    figure = Figure(figsize=(width, sum(rows)), layout="constrained")
+    # With equal axes, the layout leaves labels a point less than it should.
+    figure = Figure(figsize=(width, sum(rows)), layout=ConstrainedLayoutEngine(w_pad=_MARGIN))
     panels = figure.subplots(len(rows), 1, squeeze=False, height_ratios=rows)[:, 0].tolist()
     if problem.drawing is not None:
         motion = machine_motion(problem, values, execution, period, n=_GHOSTS)
