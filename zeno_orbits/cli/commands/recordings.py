@@ -147,7 +147,7 @@ def add_compare(commands: Any) -> None:
         [
             "zeno-orbits compare orbit.json data.csv --t-start 12 --plot compared.png",
             "zeno-orbits compare orbit.json data.csv --t-start 12 --json",
-            "zeno-orbits compare orbit.json data.csv --second-file video.csv",
+            "zeno-orbits compare orbit.json data.csv --t-start 12 --second-file video.csv",
             "zeno-orbits compare bouncing_ball drop.csv --set restitution=0.8 --plot drop.png",
             "zeno-orbits compare bouncing_ball track.csv --fit height.gain,height.offset",
         ],
