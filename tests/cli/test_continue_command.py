@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.reference.reference_orbit import RELEASE
+from tests.support.cases import often
 from tests.support.commands import YES, ask, examples
 from zeno_orbits import write_orbit
 from zeno_orbits.cli import main
@@ -231,7 +232,7 @@ def test_giving_up_is_an_answer_of_no(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("number", often(2, (0, 4, 1, 3, 2)))
 def test_an_example_of_the_help_runs(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -180,7 +180,14 @@ HERE = tuple(
 """Those that need no cluster and that no page runs; `test_cluster` has one."""
 
 
-@pytest.mark.parametrize("example", QUICK, ids=" ".join)
+@pytest.mark.parametrize(
+    "example",
+    [
+        pytest.param(one, marks=[pytest.mark.weekly] * (one[0] == "rig" or "--rigorous" in one))
+        for one in QUICK
+    ],
+    ids=" ".join,
+)
 @pytest.mark.slow
 def test_a_quick_example_of_the_help_runs(example: list[str], orbit_file: Path) -> None:
     assert orbit_file.exists()
@@ -201,6 +208,7 @@ def test_a_long_example_of_the_help_is_understood(
     assert answer.err == "zeno-orbits: The work would begin here.\n"
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 @pytest.mark.parametrize("example", HERE, ids=" ".join)
 def test_a_long_example_of_the_help_runs(example: list[str], orbit_file: Path) -> None:

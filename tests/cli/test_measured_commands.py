@@ -76,6 +76,7 @@ def test_the_examples_of_compare_run(folder: Path) -> None:
     assert data["metrics"]["period"]["data"] == pytest.approx(1.81371293904, abs=3e-3)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_examples_of_identify_run(folder: Path) -> None:
     for example in examples("identify"):

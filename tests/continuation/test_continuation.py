@@ -335,6 +335,7 @@ def test_derived_numbers_are_held_when_another_one_changes() -> None:
     assert time == pytest.approx(family.points[-1].period, abs=1e-9)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_pendulum_doubles_its_period_between_two_flips() -> None:
     orbit = pendulum_orbit(Kp=4.3, Kd=-1.35)

@@ -33,6 +33,7 @@ def _errors(name: str, seeds: range) -> dict[str, list[float]]:
     return found
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["motor_valve", "solenoid", "vibrating_table"])
 def test_values_are_within_two_standard_errors_and_unbiased(name: str) -> None:

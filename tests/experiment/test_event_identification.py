@@ -41,6 +41,7 @@ def _only(recording: Recording, *names: str) -> Recording:
 # Derivatives and exact recordings.
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_recording_without_noise_gives_the_true_values() -> None:
     found = zo.identify("relay", _recording(), list(TRUTH))

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.cases import often
 from tests.support.recordings_of import recorded
 from zeno_orbits.experiment import FitParameter, Identification, fit_parameters, tabulate_orbit
 from zeno_orbits.model import Problem, load_problem
@@ -62,7 +63,7 @@ def test_a_start_that_is_far_off_leads_to_the_best_optimum(seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [1e-3, 0.0])
+@pytest.mark.parametrize("noise", often(1, [1e-3, 0.0]))
 def test_a_rocking_block_is_identified_with_noise_and_without(noise: float) -> None:
     problem = load_problem(MACHINES / "rocking_block.py")
     true = {"A": 2.03, "restitution": 0.488}

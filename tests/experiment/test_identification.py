@@ -82,6 +82,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(other: Orbit, problem: Pr
     assert inside >= 11
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_what_a_recording_cannot_tell_is_named(other: Orbit, problem: Problem) -> None:
     # Only the ratio of both inertial terms I2 and m2 lc2^2 enters with lc2 as it does... I1 and

@@ -18,6 +18,7 @@ def _recording(seed: int) -> zo.Recording:
     return recorded(table, problem, n_cycles=10, rate=2000.0, noise=3e-3, seed=seed, start=0.4)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_parameters_of_a_law_are_found_from_an_orbit() -> None:
     found = zo.identify(

@@ -46,6 +46,7 @@ def _values(found: Identification) -> dict[str, float]:
     return {one.unknown.label: one.value for one in found.fitted}
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_exact_recordings_of_wrong_instruments_give_the_true_values() -> None:
     recording = _wrong(_exact(), gain=1.05, offset=-0.7, rate=-3e-4)
@@ -59,7 +60,7 @@ def test_exact_recordings_of_wrong_instruments_give_the_true_values() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("offset", [0.05, 30.0])
+@pytest.mark.parametrize("offset", often(1, [30.0, 0.05]))
 def test_a_changed_instrument_changes_its_own_errors_alone(offset: float) -> None:
     fit = [*TRUTH, *ERRORS]
     plain = zo.identify(OSCILLATOR, _exact(0.01), fit)

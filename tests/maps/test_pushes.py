@@ -179,6 +179,7 @@ def test_the_command_prints_the_least_push_first_and_writes_all(
     assert (tmp_path / "push.png").stat().st_size > 5000
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 @pytest.mark.parametrize("example", examples("push"), ids=" ".join)
 def test_an_example_of_the_help_runs(

@@ -73,11 +73,22 @@ LONG = {
     )
 }
 """Pages that take more than two seconds."""
+LONGEST = {
+    f"{name}.md" for name in ("several_stops", "rig", "examples", "measured_data", "searching")
+}
+"""Pages that take more than twenty seconds."""
 
 
 @pytest.mark.parametrize(
     "page",
-    [pytest.param(p, marks=[pytest.mark.slow] if p.name in LONG else []) for p in PAGES],
+    [
+        pytest.param(
+            p,
+            marks=[pytest.mark.slow] * (p.name in LONG)
+            + [pytest.mark.weekly] * (p.name in LONGEST),
+        )
+        for p in PAGES
+    ],
     ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_the_blocks_of_a_page_run(page: Path, here: Path) -> None:

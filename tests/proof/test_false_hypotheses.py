@@ -13,7 +13,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support import hard_to_prove, sheets
-from tests.support.cases import fast
+from tests.support.cases import fast, often
 from tests.support.certificates import (
     digest_of,
     text_of,
@@ -272,7 +272,7 @@ NEGATIVE = {name: (one.rest[0], PULLED) for name, one in sheets.MACHINES.items()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NEGATIVE)
+@pytest.mark.parametrize("name", often(4, NEGATIVE))
 def test_a_machine_whose_stop_pulls_is_refused_by_prover_and_checker(name: str) -> None:
     # The motion is the same if mass, damping, stiffness and force change their signs together.
     rest, names = NEGATIVE[name]

@@ -14,7 +14,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.support import hard_to_prove
-from tests.support.cases import fast
+from tests.support.cases import fast, often
 from tests.support.orbits import shot_orbit
 from zeno_orbits.errors import TranslationError
 from zeno_orbits.proof import Proof, check_proof
@@ -165,7 +165,7 @@ FORCES: dict[str, Callable[[ca.SX], ca.SX]] = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FORCES)
+@pytest.mark.parametrize("name", often(8, FORCES))
 def test_the_checker_has_every_operation_of_the_prover(name: str) -> None:
     force, at_rest = FORCES[name], float(ca.DM(FORCES[name](ca.SX(0))))
     problem = hard_to_prove.with_force(lambda d: -0.1 * (force(d) - at_rest))
@@ -214,6 +214,7 @@ def test_the_certificate_of_plastic_impacts_is_accepted(name: str) -> None:
     assert verdict.theorem.plastic
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_certificate_of_a_release_in_a_long_step_is_accepted() -> None:
     problem = zo.load_problem("torque_pendulum")
@@ -222,6 +223,7 @@ def test_the_certificate_of_a_release_in_a_long_step_is_accepted() -> None:
     assert verdict.ok, verdict.claims
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_certificate_of_an_orbit_that_repels_at_zero_holds() -> None:
     problem = hard_to_prove.double_well()
@@ -264,6 +266,7 @@ def test_a_leg_of_nine_states_is_proved_by_default_and_its_certificate_holds() -
         assert min(abs(disc.centre - value) for value in found.values) < disc.radius + 1e-7
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_motion_that_needs_too_many_steps_is_refused_early_with_their_number() -> None:
     # The electrical time constant is a millionth of the period, and no step is much longer.

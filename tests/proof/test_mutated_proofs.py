@@ -25,7 +25,10 @@ ROOM = 1e-12
 """Relative change of a parameter that the inclusions may leave room for."""
 
 
-@pytest.fixture(scope="module", params=["curved_surface", "torque_pendulum"])
+@pytest.fixture(
+    scope="module",
+    params=["curved_surface", pytest.param("torque_pendulum", marks=pytest.mark.weekly)],
+)
 def certificate(request: pytest.FixtureRequest) -> Certificate:
     """Return a proof of two passes and two coordinates, of a machine that is shaken once a turn."""
     proof = zo.prove(zo.find_orbit_by_shooting(request.param).unwrap())
