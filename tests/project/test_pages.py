@@ -79,16 +79,13 @@ LONGEST = {
 """Pages that take more than twenty seconds."""
 
 
+def _marks(page: str) -> list[pytest.MarkDecorator]:
+    return [pytest.mark.slow] * (page in LONG) + [pytest.mark.weekly] * (page in LONGEST)
+
+
 @pytest.mark.parametrize(
     "page",
-    [
-        pytest.param(
-            p,
-            marks=[pytest.mark.slow] * (p.name in LONG)
-            + [pytest.mark.weekly] * (p.name in LONGEST),
-        )
-        for p in PAGES
-    ],
+    [pytest.param(page, marks=_marks(page.name)) for page in PAGES],
     ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_the_blocks_of_a_page_run(page: Path, here: Path) -> None:

@@ -104,6 +104,7 @@ def test_a_set_is_at_least_one_percent_of_the_sampled_ball_and_attracts(
     assert "Every execution from the set converges to the periodic orbit." in verdict.lines()
 
 
+@pytest.mark.weekly
 def test_a_set_that_the_checker_refuses_is_followed_by_smaller_ones(
     orbit: Orbit, proof: zo.Proof, monkeypatch: pytest.MonkeyPatch
 ) -> None:
