@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.loop.agreement import needs_compiler
-from tests.support.cases import fast
+from tests.support.cases import fast, often
 from tests.support.source_trees import unbuilt_tree
 from zeno_orbits.cli import main
 from zeno_orbits.loop import library_folder, loop_library
@@ -88,7 +88,7 @@ def compiler(folder: Path, script: str) -> str:
 
 @pytest.mark.slow
 @needs_compiler
-@pytest.mark.parametrize("flags", ["-ffast-math", "-Ofast"])
+@pytest.mark.parametrize("flags", often(1, ["-ffast-math", "-Ofast"]))
 def test_digits_are_the_same_whatever_flags_the_user_has(flags: str, tmp_path: Path) -> None:
     assert simulated(tmp_path / "a", CC=f"cc {flags}") == simulated(tmp_path / "b")
 

@@ -17,6 +17,7 @@ import pytest
 
 import zeno_orbits as zo
 from tests.loop.agreement import needs_compiler
+from tests.support.cases import often
 from tests.support.commands import MISUSE, YES, ask
 from tests.support.nested_kinks import FORCES, half_periods, nested_problem
 from tests.support.one_stop import GRAPHS, one_stop_problems
@@ -197,7 +198,7 @@ def test_units_of_every_bundled_problem_are_valid_and_give_the_states_of_simulat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", GRAPHS)
+@pytest.mark.parametrize("name", often(4, GRAPHS))
 def test_units_of_machines_with_several_stops_or_switches_follow_simulate(
     export: Export, name: str
 ) -> None:
@@ -224,7 +225,7 @@ def test_units_of_machines_with_several_stops_or_switches_follow_simulate(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FORCES)
+@pytest.mark.parametrize("name", often(2, FORCES))
 def test_units_with_nested_kinks_move_in_closed_form(name: str) -> None:
     Path("nested.py").write_text(nested_problem(FORCES[name][0]), encoding="utf-8")
     answer = ask("export", "nested.py", "--fmu", "-o", name.replace(" ", "_"), "--until", "13")

@@ -153,6 +153,7 @@ def test_a_printed_set_excludes_the_release_at_the_opposite_current(
     assert proof.basin_box.contained()["sine"] in capsys.readouterr().out
 
 
+@pytest.mark.weekly
 def test_a_plastic_stop_has_a_set_of_initial_states() -> None:
     plastic = zo.find_orbit_by_shooting("solenoid", parameters={"restitution": 0.0}).unwrap()
     proof = zo.prove(plastic, basin=True)
@@ -213,6 +214,7 @@ def test_none_of_40_changed_sets_is_accepted(short: Certificate) -> None:
         assert not _accepted(mutant), number
 
 
+@pytest.mark.weekly
 @pytest.mark.usefixtures("remembered")
 def test_of_40_random_changes_those_accepted_leave_the_set_as_it_is(
     short: Certificate,

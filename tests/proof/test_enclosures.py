@@ -13,7 +13,7 @@ from flint import arb, ctx
 import zeno_orbits as zo
 from tests.reference.many_digits.execution import extended_execution
 from tests.support import hard_to_prove
-from tests.support.cases import fast
+from tests.support.cases import fast, often
 from tests.support.orbits import shot_orbit
 from zeno_orbits.orbits import Orbit
 from zeno_orbits.proof.arithmetic.balls import matrix
@@ -89,7 +89,7 @@ def test_a_single_point_is_enclosed(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("radius", [1e-12, 1e-8])
+@pytest.mark.parametrize("radius", often(1, [1e-8, 1e-12]))
 def test_points_anywhere_in_a_box_are_enclosed(radius: float) -> None:
     orbit = shot_orbit("torque_pendulum")
     random = np.random.default_rng(1)
