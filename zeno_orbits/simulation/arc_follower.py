@@ -81,7 +81,7 @@ class _Look:
 
     Attributes:
         steps: Steps so far.
-        time: Time of the event [s].
+        time: Time so far [s].
         speed: Largest velocity since the look before.
     """
 

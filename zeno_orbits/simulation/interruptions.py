@@ -25,7 +25,7 @@ def flow_ends(error: StepSizeError, graph: GraphDynamics, time: float, kink: str
     Args:
         error: The error of the integrator.
         graph: The machine.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         kink: The kink whose condition is zero there, or an empty text.
     """
     reason = error.reason
@@ -42,7 +42,7 @@ def too_many_steps(most: int, time: float, state: Vector) -> SimulationError:
 
     Args:
         most: Steps that it may take.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time.
     """
     return StepLimitError(
@@ -58,7 +58,7 @@ def runs_away(name: str, time: float, state: Vector) -> RunawayError:
 
     Args:
         name: The coordinate.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time.
     """
     return RunawayError(f"{name} diverges", time=time, state=tuple(state.tolist()), coordinate=name)
@@ -73,7 +73,7 @@ def grows_without_end(
         name: The velocity.
         steps: Steps whose pace was taken.
         needed: Steps that the rest of the time would take.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time.
     """
     return RunawayError(
@@ -88,7 +88,7 @@ def leaves_set(time: float, state: Vector) -> PenetrationError:
     """Return the error of a state that leaves the admissible set.
 
     Args:
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time, ``(n_x,)``.
     """
     return PenetrationError(
@@ -103,7 +103,7 @@ def does_not_close(approach_rate: float, time: float, state: Vector) -> Simulati
 
     Args:
         approach_rate: Gap rate before it.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State before it, ``(n_x,)``.
     """
     return SimulationError(
@@ -122,7 +122,7 @@ def restitution_beyond(
         speed: Gap rate after the impact.
         approach_rate: Gap rate before it.
         stop: Name of the stop.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State before it, ``(n_x,)``.
     """
     at = f" of the stop `{stop}`" if stop else ""
@@ -138,7 +138,7 @@ def enters_by_reset(time: float, state: Vector) -> PenetrationError:
     """Return the error of a reset map that sends the state into the stop.
 
     Args:
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State before the impact, ``(n_x,)``.
     """
     return PenetrationError(
@@ -151,7 +151,7 @@ def does_not_accumulate(most: int, time: float, state: Vector) -> ChatterError:
 
     Args:
         most: Impacts that a sequence may have.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time, ``(n_x,)``.
     """
     return ChatterError(
@@ -168,7 +168,7 @@ def switches_too_often(switch: str, most: int, time: float, state: Vector) -> Ch
     Args:
         switch: Name of the last one.
         most: Switches that an execution may have.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time, ``(n_x,)``.
     """
     return ChatterError(
@@ -185,7 +185,7 @@ def coincide(first: str, second: str, time: float, state: Vector) -> Simultaneou
     Args:
         first: Name of one event.
         second: Name of the other event.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time, ``(n_x,)``.
     """
     return SimultaneousEventsError(
@@ -201,7 +201,7 @@ def accumulate_together(stop: str, other: str, time: float, state: Vector) -> Si
     Args:
         stop: Name of the stop.
         other: The other event, as a clause.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time, ``(n_x,)``.
     """
     return SimultaneousEventsError(
@@ -216,7 +216,7 @@ def switches_accumulate(switch: str, time: float, state: Vector) -> ChatterError
 
     Args:
         switch: Name of the switch.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time, ``(n_x,)``.
     """
     return ChatterError(
@@ -231,7 +231,7 @@ def undefined_guard(switch: str, time: float, state: Vector) -> SimulationError:
 
     Args:
         switch: Name of the switch.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time, ``(n_x,)``.
     """
     return SimulationError(
@@ -246,7 +246,7 @@ def undetermined_contact(names: str, time: float, state: Vector) -> Simultaneous
 
     Args:
         names: Names of the stops.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time, ``(n_x,)``.
     """
     return SimultaneousEventsError(
@@ -262,7 +262,7 @@ def slides(graph: GraphDynamics, switch: int, time: float, state: Vector) -> Sli
     Args:
         graph: The modes.
         switch: Index of the switch.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time, ``(n_x,)``.
     """
     name = graph.switch_names[switch]
@@ -280,7 +280,7 @@ def enters_by_switch(switch: str, stop: str, time: float, state: Vector) -> Pene
     Args:
         switch: Name of the switch.
         stop: Name of the stop.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State after the reset, ``(n_x,)``.
     """
     return PenetrationError(
@@ -295,7 +295,7 @@ def armed_at_start(switch: str, time: float, state: Vector) -> SimulationError:
 
     Args:
         switch: Name of the switch.
-        time: Time of the event [s].
+        time: Time at which the execution ends [s].
         state: State at that time, ``(n_x,)``.
     """
     return SimulationError(

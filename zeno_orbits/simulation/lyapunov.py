@@ -143,27 +143,30 @@ def _free(graph: GraphDynamics, n_x: int) -> list[int]:
 def _averaged(rates_of: Callable[[int], Sequence[float]], turn: float) -> Exponent:
     """Return the mean of as many rates as its error asks for.
 
-    A motion that forgets every disturbance within a few turns has few rates, or none.
-
     Args:
         rates_of: Function from a number of turns to the rates of the next turns.
         turn: Length of a turn [s].
     """
-    rates = list(rates_of(_SETTLING + _ROUNDS[0])) or [math.log(_VANISHED) / turn]
-    exponent = _mean(np.array(rates[_SETTLING:] or rates))
+    rates = list(rates_of(_SETTLING + _ROUNDS[0]))
+    exponent = _mean(rates, turn)
     for count in _ROUNDS[1:]:
         if abs(exponent.value) * _CLEAR > exponent.error:
             break
         rates += rates_of(count)
-        exponent = _mean(np.array(rates[_SETTLING:] or rates))
+        exponent = _mean(rates, turn)
     return exponent
 
 
-def _mean(rates: Vector) -> Exponent:
-    count = min(_BLOCKS, len(rates))
-    blocks = np.array([np.mean(block) for block in np.array_split(rates, count)])
+def _mean(rates: Sequence[float], turn: float) -> Exponent:
+    """Return the mean of the rates after the settling.
+
+    A motion that forgets every disturbance within a few turns has few rates, or none.
+    """
+    settled = np.array(rates[_SETTLING:] or rates or [math.log(_VANISHED) / turn])
+    count = min(_BLOCKS, len(settled))
+    blocks = np.array([np.mean(block) for block in np.array_split(settled, count)])
     spread = float(np.std(blocks, ddof=1)) / math.sqrt(count) if count > 1 else 0.0
-    return Exponent(value=float(np.mean(rates)), error=_DEVIATIONS * spread, turns=len(rates))
+    return Exponent(value=float(np.mean(settled)), error=_DEVIATIONS * spread, turns=len(settled))
 
 
 def _beside(

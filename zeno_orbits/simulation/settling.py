@@ -208,7 +208,7 @@ def verdict(
     time: float,
     *,
     close: float,
-    goes_on: bool = True,
+    goes_on: bool,
 ) -> AttractorVerdict:
     """Classify a motion that neither rests nor diverges.
 

@@ -403,11 +403,11 @@ class StopRun(ABC):
         limit = self.limit_of(sequence.estimates)
         if limit is None or limit.time >= self.follower.until or not self.is_clear(limit):
             return None
-        if start.impact is None:
-            return None
         after = self.on_stop(limit.time, limit.state)
         if after.mode is Mode.FREE:
             return None
+        # An estimate belongs to an impact.
+        assert start.impact is not None
         self.reach(limit, start.impact, speed)
         return self.after_zeno_point(after)
 

@@ -56,7 +56,7 @@ class MotionEnd:
     """The end of the observation of a motion.
 
     Attributes:
-        time: Time of the event [s].
+        time: Time of the end [s].
         state: Where, ``(n_x,)``.
         reason: Why.
         detail: Name of the coordinate that escaped, or a sentence on the failure.

@@ -30,7 +30,7 @@ from zeno_orbits.report.table import (
     text_column,
     with_unit,
 )
-from zeno_orbits.report.terminal.console import print_lines, print_table
+from zeno_orbits.report.terminal.console import line_width, print_lines, print_table
 from zeno_orbits.work import decimal_below
 
 if TYPE_CHECKING:
@@ -416,7 +416,7 @@ def recovery_words(found: Stability) -> list[str]:
         return [f"Every small disturbance vanishes within {wait}, to rounding."]
     if slow is not None:
         which = "Fastest growth" if found.unstable else "Slowest direction"
-        lines += wrap(f"{which}: {slow.words}", 80, subsequent_indent="  ")
+        lines += wrap(f"{which}: {slow.words}", line_width(), subsequent_indent="  ")
         if math.isfinite(slow.periods_per_turn):
             turn = f"{slow.periods_per_turn:.4g}"
             lines.append(f"The disturbance turns once in {turn} periods.")
